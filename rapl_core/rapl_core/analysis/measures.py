@@ -1,0 +1,143 @@
+"""How well a reward orders frames and videos as the human's reward does.
+
+Every function takes sequences of per-step traces: ``rewards[i]`` and ``human[i]`` are the (T_i,)
+traces of video i, both of the frames arrived in. None of them fits anything.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import rankdata
+
+from rapl_core.errors import ShapeError
+
+FRAME_GAP_M = 0.02
+"""Frame pairs closer than this in r* (metres) are not asked about by :func:`concordance`."""
+
+Traces = Sequence[ArrayLike]
+
+
+@dataclass(frozen=True)
+class StepCorrelation:
+    """Spearman's correlation between two per-step rewards, a video at a time."""
+
+    mean: float
+    """Over the videos where it is defined; NaN when there is none."""
+    per_video: NDArray[np.float64]
+    """(N,) NaN where one of the two traces is constant."""
+
+    @property
+    def undefined(self) -> int:
+        """Number of videos where a trace is constant and the correlation does not exist."""
+        return int(np.isnan(self.per_video).sum())
+
+
+@dataclass(frozen=True)
+class Concordance:
+    """Share of frame pairs that a reward orders as the human does."""
+
+    value: float
+    """(concordant - discordant) / pairs, in [-1, 1]; a tie counts as neither; NaN without pairs."""
+    pairs: int
+
+
+def spearman(x: ArrayLike, y: ArrayLike) -> float:
+    """Spearman's rank correlation of two (N,) arrays; NaN when one of them is constant."""
+    a, b = _pair("x", x, y)
+    if len(a) < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return float("nan")
+    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+
+
+def spearman_per_step(rewards: Traces, human: Traces) -> StepCorrelation:
+    """Return Spearman's correlation over the steps of each video (the paper's Spearman table)."""
+    per_video = np.array(
+        [spearman(r, h) for r, h in zip(rewards, human, strict=True)], dtype=np.float64
+    )
+    defined = per_video[~np.isnan(per_video)]
+    return StepCorrelation(float(defined.mean()) if len(defined) else float("nan"), per_video)
+
+
+def concordance(rewards: Traces, human: Traces, gap: float = FRAME_GAP_M) -> Concordance:
+    """Return the concordance over pairs of frames of one video that differ by more than ``gap``.
+
+    Half of all consecutive steps leave r* unchanged, which Spearman's correlation punishes at
+    random; this measure asks only about pairs between which something happened.
+
+    :param gap: least difference of r*, in its unit (metres).
+    """
+    balance, pairs = 0, 0
+    for reward_trace, human_trace in zip(rewards, human, strict=True):
+        r, h = _pair("rewards", reward_trace, human_trace)
+        first, second = np.triu_indices(len(h), k=1)
+        difference = h[second] - h[first]
+        asked = np.abs(difference) > gap
+        balance += int(
+            np.sum(np.sign(r[second] - r[first])[asked] * np.sign(difference)[asked])
+        )
+        pairs += int(asked.sum())
+    return Concordance(balance / pairs if pairs else float("nan"), pairs)
+
+
+def episode_rank_correlation(rewards: Traces, human: Traces) -> float:
+    """Return Spearman's correlation between the videos' sums of reward; NaN when undefined."""
+    return spearman(
+        [float(np.sum(np.asarray(r))) for r in rewards],
+        [float(np.sum(np.asarray(h))) for h in human],
+    )
+
+
+def arm_only_share(expert_rewards: Traces, mime_rewards: Traces, window: int = 5) -> float:
+    """Return how much of the experts' gain a reward gives for the arm's motion alone.
+
+    The gain of a video is its mean reward over the last ``window`` steps minus that over the
+    first. A mime moves the arm as an expert does while the objects stay where they are, so a
+    reward that looks at the objects gives it nothing (0) and one that watches the arm gives it
+    everything (1).
+
+    :param window: steps averaged at either end.
+    :return: mean gain of the mimes over mean gain of the experts; NaN when either set is empty or
+        the experts gain nothing.
+    """
+    if not len(expert_rewards) or not len(mime_rewards):
+        return float("nan")
+    expert_gain = float(np.mean([_gain(r, window) for r in expert_rewards]))
+    mime_gain = float(np.mean([_gain(r, window) for r in mime_rewards]))
+    return mime_gain / expert_gain if expert_gain > 0 else float("nan")
+
+
+def triplet_accuracy(
+    returns: dict[str, float], triplets: Sequence[tuple[str, str, str]]
+) -> float:
+    """Return the share of ordered pairs in ``triplets`` that the videos' returns order alike.
+
+    :param returns: return of each video by episode id.
+    :param triplets: (best, middle, worst) episode ids; the ones with an unknown id are left out.
+    :return: correct pairs over pairs, a tie counting half; NaN without triplets.
+    """
+    right, pairs = 0.0, 0
+    for best, middle, worst in triplets:
+        if not {best, middle, worst} <= returns.keys():
+            continue
+        for better, poorer in ((best, middle), (middle, worst), (best, worst)):
+            difference = returns[better] - returns[poorer]
+            right += 1.0 if difference > 0 else 0.5 if difference == 0 else 0.0
+            pairs += 1
+    return right / pairs if pairs else float("nan")
+
+
+def _gain(trace: ArrayLike, window: int) -> float:
+    values = np.asarray(trace, dtype=np.float64)
+    width = max(1, min(window, len(values) // 2))
+    return float(values[-width:].mean() - values[:width].mean())
+
+
+def _pair(name: str, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if a.shape != b.shape or a.ndim != 1:
+        raise ShapeError(f"{name} has shape {a.shape} beside {b.shape}, expected two equal (N,)")
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ShapeError(f"{name} has NaN or infinite values")
+    return a, b

@@ -1,0 +1,79 @@
+"""The measures against hand-made cases and scipy."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rapl_core.analysis import measures
+from rapl_core.errors import ShapeError
+from scipy.stats import kendalltau, spearmanr
+
+
+@given(
+    arrays(np.float64, 20, elements=st.integers(-5, 5)),
+    arrays(np.float64, 20, elements=st.integers(-5, 5)),
+)
+def test_spearman_equals_scipy_with_ties(x: np.ndarray, y: np.ndarray) -> None:
+    mine = measures.spearman(x, y)
+    if np.ptp(x) == 0 or np.ptp(y) == 0:
+        assert np.isnan(mine)
+    else:
+        assert mine == pytest.approx(spearmanr(x, y).statistic, abs=1e-12)
+
+
+def test_videos_with_a_constant_trace_are_counted_and_left_out_of_the_mean() -> None:
+    rising, flat = [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]
+    result = measures.spearman_per_step([rising, rising, flat], [rising, flat, rising])
+    assert result.mean == pytest.approx(1.0)
+    assert result.undefined == 2
+    assert np.isnan(measures.spearman_per_step([flat], [rising]).mean)
+
+
+def test_concordance_without_a_gap_is_kendalls_tau_on_distinct_values() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=30), rng.normal(size=30)
+    result = measures.concordance([x], [y], gap=0.0)
+    assert result.value == pytest.approx(kendalltau(x, y).statistic)
+    assert result.pairs == 30 * 29 // 2
+
+
+def test_concordance_does_not_ask_about_frames_closer_than_the_gap() -> None:
+    human = [0.0, 0.019, 0.1]
+    # wrong only between the first two frames, which are 19 mm apart
+    assert measures.concordance([[1.0, 0.0, 2.0]], [human]).value == 1.0
+    assert measures.concordance([[1.0, 0.0, 2.0]], [human]).pairs == 2
+    assert measures.concordance([[2.0, 1.0, 0.0]], [human]).value == -1.0
+    assert np.isnan(measures.concordance([[1.0, 2.0]], [[0.0, 0.0]]).value)
+
+
+def test_episode_rank_correlation_compares_sums() -> None:
+    rewards = [[0.0, 1.0], [5.0, 5.0], [2.0, 2.0]]
+    assert measures.episode_rank_correlation(rewards, [[1.0], [3.0], [2.0]]) == pytest.approx(1.0)
+    assert measures.episode_rank_correlation(rewards, [[3.0], [1.0], [2.0]]) == pytest.approx(-1.0)
+
+
+def test_arm_only_share_is_the_mimes_gain_over_the_experts() -> None:
+    expert = np.linspace(-5.0, -1.0, 20)
+    flat = np.full(20, -5.0)
+    assert measures.arm_only_share([expert], [flat]) == pytest.approx(0.0)
+    assert measures.arm_only_share([expert, expert], [expert]) == pytest.approx(1.0)
+    half = np.linspace(-5.0, -3.0, 20)
+    assert measures.arm_only_share([expert], [half]) == pytest.approx(0.5)
+    assert np.isnan(measures.arm_only_share([flat], [expert]))
+    assert np.isnan(measures.arm_only_share([], [expert]))
+
+
+def test_triplet_accuracy_counts_ordered_pairs_and_skips_unknown_videos() -> None:
+    returns = {"a": 3.0, "b": 2.0, "c": 1.0}
+    assert measures.triplet_accuracy(returns, [("a", "b", "c")]) == 1.0
+    assert measures.triplet_accuracy(returns, [("b", "a", "c")]) == pytest.approx(2 / 3)
+    assert measures.triplet_accuracy(returns, [("a", "b", "gone"), ("a", "b", "c")]) == 1.0
+    assert np.isnan(measures.triplet_accuracy(returns, []))
+
+
+def test_traces_of_unequal_length_are_refused() -> None:
+    with pytest.raises(ShapeError, match="expected two equal"):
+        measures.spearman_per_step([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
+    with pytest.raises(ShapeError, match="NaN"):
+        measures.concordance([[1.0, float("nan")]], [[1.0, 2.0]])
