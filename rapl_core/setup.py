@@ -1,0 +1,22 @@
+"""Packaging of rapl_core, for pip and for colcon."""
+
+from setuptools import find_packages, setup
+
+setup(
+    name="rapl_core",
+    version="0.1.0",
+    description="Algorithms, worlds and learning of RAPL; knows nothing of ROS",
+    author="RAPL",
+    author_email="rapl@example.org",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=["rapl_core", "rapl_core.*"]),
+    include_package_data=True,
+    package_data={"rapl_core": ["py.typed"], "": ["*.yaml", "*.json", "*.xml", "*.html"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/rapl_core"]),
+        ("share/rapl_core", ["package.xml"]),
+    ],
+    zip_safe=False,
+    entry_points={"console_scripts": ["rapl = rapl_core.cli:main"]},
+)

@@ -1,0 +1,21 @@
+"""Packaging of rapl_ros, for pip and for colcon."""
+
+from setuptools import find_packages, setup
+
+setup(
+    name="rapl_ros",
+    version="0.1.0",
+    description="The nodes of RAPL: thin shells over rapl_core",
+    author="RAPL",
+    author_email="rapl@example.org",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=["rapl_ros", "rapl_ros.*"]),
+    include_package_data=True,
+    package_data={"": ["*.yaml", "*.json", "*.xml", "*.html"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/rapl_ros"]),
+        ("share/rapl_ros", ["package.xml"]),
+    ],
+    zip_safe=False,
+)
