@@ -1,0 +1,6 @@
+"""Representation-aligned preference-based learning: algorithms, worlds and learning, without ROS."""
+
+import os
+
+# mujoco reads it when it is imported: without a display only EGL and OSMesa can draw
+os.environ.setdefault("MUJOCO_GL", "egl")

@@ -1,0 +1,1 @@
+"""Stepping, control, rendering."""

@@ -1,0 +1,95 @@
+"""Low-poly copies of visual meshes, so that software GL keeps up: decimated once, then cached."""
+
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+
+import fast_simplification
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+CACHE_FORMAT = 1
+
+
+def cache_folder() -> Path:
+    """Return where decimated meshes are kept: $RAPL_CACHE or the user's cache folder."""
+    base = os.environ.get("RAPL_CACHE") or os.path.join(
+        os.environ.get("XDG_CACHE_HOME", os.path.expanduser("~/.cache")), "rapl"
+    )
+    return Path(base) / "meshes"
+
+
+def decimate_visuals(spec: mujoco.MjSpec, visual_group: int, triangles: int) -> None:
+    """Replace the visual meshes of ``spec`` in place by copies that share out ``triangles``.
+
+    Each mesh keeps a share of the triangles in proportion to the square root of its own
+    number, so that small parts do not vanish. Meshes that collide keep their shape.
+
+    :param visual_group: geom group of the geoms that are only drawn.
+    :param triangles: about how many triangles the visual meshes have together afterwards.
+    """
+    drawn = {g.meshname for g in spec.geoms if g.group == visual_group and g.meshname}
+    if not drawn:
+        return
+    full = _load_meshes(spec, drawn)
+    weight = {name: float(np.sqrt(len(faces))) for name, (_, faces) in full.items()}
+    total = sum(weight.values())
+    for name, (vertices, faces) in full.items():
+        target = max(12, round(triangles * weight[name] / total))
+        vertices, faces = _decimated(vertices, faces, target)
+        spec.add_mesh(
+            name=f"{name}_low",
+            uservert=vertices.astype(np.float64).ravel(),
+            userface=faces.astype(np.int32).ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+    for geom in spec.geoms:
+        if geom.group == visual_group and geom.meshname:
+            geom.meshname = f"{geom.meshname}_low"
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+
+
+def _load_meshes(
+    spec: mujoco.MjSpec, names: set[str]
+) -> dict[str, tuple[NDArray[np.float32], NDArray[np.int32]]]:
+    """Return vertices and faces of meshes in the coordinates of their files."""
+    model = spec.copy().compile()
+    meshes = {}
+    for name in names:
+        mesh = model.mesh(name)
+        first, count = mesh.vertadr[0], mesh.vertnum[0]
+        vertices = model.mesh_vert[first : first + count]
+        first, count = mesh.faceadr[0], mesh.facenum[0]
+        faces = model.mesh_face[first : first + count]
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.mesh_quat[mesh.id])
+        placed = vertices @ rotation.reshape(3, 3).T + model.mesh_pos[mesh.id]
+        meshes[name] = (placed.astype(np.float32), faces.copy())
+    return meshes
+
+
+def _decimated(
+    vertices: NDArray[np.float32], faces: NDArray[np.int32], target: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    if len(faces) <= target:
+        return vertices, faces
+    digest = hashlib.sha256(f"{CACHE_FORMAT} {target}".encode())
+    digest.update(vertices.tobytes())
+    digest.update(faces.tobytes())
+    path = cache_folder() / f"{digest.hexdigest()[:24]}.npz"
+    if path.is_file():
+        with np.load(path) as kept:
+            return kept["vertices"], kept["faces"]
+    vertices, faces = fast_simplification.simplify(
+        vertices, faces, target_reduction=1 - target / len(faces), agg=7
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+        np.savez(file, vertices=vertices, faces=faces)
+    os.replace(file.name, path)
+    return vertices, faces

@@ -1,0 +1,30 @@
+"""The tasks that exist, by name."""
+
+from functools import cache
+
+from rapl_core.errors import UnknownNameError
+from rapl_core.tasks.base import Task
+from rapl_core.tasks.tabletop import TabletopGroup
+
+
+@cache
+def _tasks() -> dict[str, Task]:
+    tasks: list[Task] = [
+        TabletopGroup("franka_group", "Franka Panda pushes two cubes to the goal, together"),
+    ]
+    return {task.name: task for task in tasks}
+
+
+def task_names() -> list[str]:
+    """Return the names of all tasks."""
+    return sorted(_tasks())
+
+
+def get_task(name: str) -> Task:
+    """Return a task by name.
+
+    :raises UnknownNameError: if there is none of that name.
+    """
+    if name not in _tasks():
+        raise UnknownNameError("task", name, _tasks())
+    return _tasks()[name]
