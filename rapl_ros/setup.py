@@ -10,6 +10,7 @@ setup(
     author_email="rapl@example.org",
     license="Apache-2.0",
     python_requires=">=3.10",
+    package_dir={"": "."},  # an editable install is then one .pth line, not an import hook
     packages=find_packages(include=["rapl_ros", "rapl_ros.*"]),
     include_package_data=True,
     package_data={"": ["*.yaml", "*.json", "*.xml", "*.html"]},
