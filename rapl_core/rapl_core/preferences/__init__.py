@@ -1,0 +1,34 @@
+"""Rankings: their store, what is made of them, and whom to ask about what."""
+
+from rapl_core.preferences.exchange import export_jsonl, import_jsonl, read_jsonl
+from rapl_core.preferences.expert_set import expert_set, strengths
+from rapl_core.preferences.queries import QuerySelector, UniformQueries
+from rapl_core.preferences.query import Query
+from rapl_core.preferences.simulated_human import Answer, SimulatedHuman
+from rapl_core.preferences.store import RankingStore
+from rapl_core.preferences.triplets import (
+    Pair,
+    RankingSplit,
+    pairs_from,
+    split_rankings,
+    triplets_from,
+)
+
+__all__ = [
+    "Answer",
+    "Pair",
+    "Query",
+    "QuerySelector",
+    "RankingSplit",
+    "RankingStore",
+    "SimulatedHuman",
+    "UniformQueries",
+    "expert_set",
+    "export_jsonl",
+    "import_jsonl",
+    "pairs_from",
+    "read_jsonl",
+    "split_rankings",
+    "strengths",
+    "triplets_from",
+]

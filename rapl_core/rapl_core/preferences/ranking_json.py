@@ -1,0 +1,60 @@
+"""Rankings as JSON: what the store keeps in a row and what an export has in a line."""
+
+import json
+import math
+from dataclasses import asdict, fields
+
+from rapl_core.errors import RankingError
+from rapl_core.types import Ranking
+
+_FIELDS = frozenset(field.name for field in fields(Ranking))
+
+
+def ranking_to_json(ranking: Ranking) -> str:
+    """Return one line of JSON, the same for equal rankings; an unknown response time is null."""
+    values = asdict(ranking)
+    if math.isnan(ranking.response_s):
+        values["response_s"] = None
+    return json.dumps(values, sort_keys=True, ensure_ascii=False)
+
+
+def ranking_from_json(text: str) -> Ranking:
+    """Return the ranking in one line of JSON.
+
+    :raises RankingError: if the line is no ranking; says which field is wrong.
+    """
+    try:
+        values = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise RankingError(f"not JSON: {error}") from error
+    if not isinstance(values, dict):
+        raise RankingError(f"a ranking is a JSON object, got {type(values).__name__}")
+    unknown = sorted(set(values) - _FIELDS)
+    if unknown:
+        raise RankingError(
+            f"unknown fields {', '.join(unknown)}; known: {', '.join(sorted(_FIELDS))}"
+        )
+    try:
+        response_s = values.get("response_s")
+        return Ranking(
+            ranking_id=_text(values, "ranking_id"),
+            annotator=_text(values, "annotator"),
+            episode_ids=tuple(str(e) for e in values["episode_ids"]),
+            ranks=tuple(int(rank) for rank in values["ranks"]),
+            verdict=values.get("verdict", "ranked"),
+            query_id=str(values.get("query_id", "")),
+            response_s=math.nan if response_s is None else float(response_s),
+            created_ns=int(values.get("created_ns", 0)),
+            replaces=str(values.get("replaces", "")),
+        )
+    except KeyError as error:
+        raise RankingError(f"a ranking lacks the field {error}") from error
+    except (TypeError, ValueError) as error:
+        raise RankingError(f"a ranking has a field of the wrong kind: {error}") from error
+
+
+def _text(values: dict[str, object], name: str) -> str:
+    value = values[name]
+    if not isinstance(value, str):
+        raise RankingError(f"{name} is {value!r}, expected text")
+    return value
