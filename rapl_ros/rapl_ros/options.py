@@ -1,0 +1,241 @@
+"""What the person who types ``./run_all.sh TASK`` can ask for."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+from rapl_core.errors import RaplError, UnknownNameError
+
+from rapl_ros.run_config import CONFIG_FILE, RESULTS_FILE, RunConfig, load_config
+
+REWARDS = {
+    "rapl": "optimal transport to the preferred videos, in the representation learnt from rankings",
+    "ground_truth": "the simulated human's own reward r*: the oracle, an upper bound",
+    "imagenet": "optimal transport in the raw ImageNet features: what rankings are worth",
+    "rlhf": "a reward network learnt from the same rankings, without transport",
+}
+PRESETS = {
+    "tuned": "our best settings, which depart from the paper where docs/paper_notes.md says so",
+    "paper": "the paper's text to the letter",
+    "authors_code": "what the authors' published code does",
+}
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """A parsed command line."""
+
+    config: RunConfig
+    folder: Path
+    resume: bool
+    keep_running: bool
+
+
+QUICK = {
+    "pool_episodes": 60,
+    "triplets": 40,
+    "steps": 3_000,
+    "evaluate_every": 1_500,
+    "evaluate_episodes": 8,
+    "final_episodes": 12,
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser that names the known options when one is unknown."""
+
+    def error(self, message: str) -> NoReturn:
+        known = [option for action in self._actions for option in action.option_strings]
+        self.exit(2, f"{self.prog}: {message}\nknown options: {' '.join(known)}\n")
+
+
+def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    default = RunConfig(task="")
+    parser = _Parser(
+        prog=prog,
+        allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Teach a robot what you prefer: collect videos, rank them, learn a\n"
+        "representation from the rankings, train the robot by it, evaluate, report.",
+        epilog=_epilog(),
+    )
+    parser.add_argument("task", nargs="?", metavar="TASK", help="what to learn, see --list")
+    parser.add_argument("--list", action="store_true", help="name tasks, rewards and presets")
+    parser.add_argument(
+        "--reward", default=None, metavar="NAME", help=f"{' | '.join(REWARDS)} (rapl)"
+    )
+    parser.add_argument(
+        "--encoder", default=None, metavar="NAME",
+        help="encoder that embeds the pictures (the one that --reward implies)",
+    )
+    parser.add_argument(
+        "--preset", default=None, metavar="NAME", help=f"{' | '.join(PRESETS)} (tuned)"
+    )
+    parser.add_argument(
+        "--triplets", type=_whole(1), metavar="N",
+        help=f"rankings of three videos ({default.triplets})",
+    )
+    parser.add_argument(
+        "--episodes", type=_whole(12), metavar="N",
+        help=f"videos to collect and rank ({default.pool_episodes})",
+    )
+    parser.add_argument(
+        "--steps", type=_whole(1), metavar="N",
+        help=f"world steps of learning ({default.steps})",
+    )
+    parser.add_argument(
+        "--worlds", type=_whole(1, 16), metavar="N",
+        help=f"worlds simulated side by side ({default.worlds})",
+    )
+    parser.add_argument("--seed", type=_whole(0), metavar="N", help="of everything random (0)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="run folder (runs/TASK/REWARD-PRESET-seedN)"
+    )
+    parser.add_argument(
+        "--resume", nargs="?", const="", default=None, metavar="FOLDER",
+        help="go on with this run, or with the task's newest unfinished one",
+    )
+    parser.add_argument(
+        "--quick", action="store_true",
+        help="every stage in miniature, within five minutes: shows that it works, not how well",
+    )
+    parser.add_argument(
+        "--keep-running", action="store_true",
+        help="leave the graph running after the last stage, until Ctrl-C",
+    )
+    return parser
+
+
+def parse(argv: Sequence[str], tasks: Sequence[str], runs: Path) -> RunRequest:
+    """Return what the command line asks for; exits with 2 and an explanation when it cannot.
+
+    :param tasks: names of the known tasks.
+    :param runs: folder of the runs, normally ``runs``.
+    """
+    parser = build_parser()
+    arguments = parser.parse_args(list(argv))
+    try:
+        if arguments.resume is not None:
+            return _resumed(arguments, tasks, runs)
+        return _fresh(arguments, tasks, runs)
+    except RaplError as error:
+        parser.exit(2, f"{parser.prog}: {error}\n")
+
+
+def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> RunRequest:
+    if arguments.task is None:
+        raise RaplError(f"a task is missing; known: {', '.join(sorted(tasks))}")
+    _check(arguments.task, "task", tasks)
+    values = {**(QUICK if arguments.quick else {}), **_given(arguments)}
+    config = RunConfig(task=arguments.task, quick=arguments.quick, **values)
+    _check(config.reward, "reward", REWARDS)
+    _check(config.preset, "preset", PRESETS)
+    folder = arguments.out or _free_folder(runs / config.task / _run_name(config))
+    if (folder / CONFIG_FILE).exists():
+        raise RaplError(f"{folder} holds a run already; continue it with --resume {folder}")
+    return RunRequest(config, folder, resume=False, keep_running=arguments.keep_running)
+
+
+def _resumed(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> RunRequest:
+    folder = _folder_to_resume(arguments, tasks, runs)
+    config = load_config(folder)
+    asked = _given(arguments)
+    longer = {name: asked.pop(name) for name in ("steps", "final_episodes") if name in asked}
+    if arguments.task is not None:
+        asked["task"] = arguments.task
+    for name, value in asked.items():
+        if getattr(config, name) != value:
+            raise RaplError(
+                f"{folder} was started with {name} {getattr(config, name)!r}, not {value!r}; "
+                "a resumed run may only change --steps"
+            )
+    return RunRequest(
+        replace(config, **longer), folder, resume=True, keep_running=arguments.keep_running
+    )
+
+
+def _folder_to_resume(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> Path:
+    if arguments.resume in tasks and arguments.task is None:
+        arguments.task, arguments.resume = arguments.resume, ""  # ``--resume franka_group``
+    if arguments.resume or arguments.out:
+        return Path(arguments.resume or arguments.out)
+    if arguments.task is None:
+        raise RaplError("--resume needs a run folder or a task")
+    _check(arguments.task, "task", tasks)
+    found = [
+        path.parent
+        for path in (runs / arguments.task).glob(f"*/{CONFIG_FILE}")
+        if not (path.parent / RESULTS_FILE).exists()
+    ]
+    if not found:
+        raise RaplError(f"no unfinished run of {arguments.task} in {runs / arguments.task}")
+    return max(found, key=lambda folder: (folder / CONFIG_FILE).stat().st_mtime)
+
+
+def _given(arguments: argparse.Namespace) -> dict[str, Any]:
+    names = {field.name: field.name for field in fields(RunConfig)} | {"episodes": "pool_episodes"}
+    return {
+        names[key]: value
+        for key, value in vars(arguments).items()
+        if key in names and key not in ("task", "quick") and value is not None
+    }
+
+
+def _check(name: str, kind: str, known: Sequence[str] | dict[str, str]) -> None:
+    if name not in known:
+        raise UnknownNameError(kind, name, known)
+
+
+def _run_name(config: RunConfig) -> str:
+    preset = f"-{config.preset}" if config.aligns else ""
+    return f"{config.reward}{preset}-seed{config.seed}{'-quick' if config.quick else ''}"
+
+
+def _free_folder(folder: Path) -> Path:
+    candidate, number = folder, 2
+    while candidate.exists():
+        candidate, number = folder.with_name(f"{folder.name}-{number}"), number + 1
+    return candidate
+
+
+def _whole(least: int, most: int | None = None) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        allowed = f"{least} to {most}" if most is not None else f"{least} or more"
+        try:
+            value = int(text.replace("_", ""))
+        except ValueError:
+            value = least - 1
+        if value < least or (most is not None and value > most):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, {allowed}")
+        return value
+
+    return read
+
+
+def _epilog() -> str:
+    lines = ["rewards:"]
+    lines += [f"  {name:13} {text}" for name, text in REWARDS.items()]
+    lines += ["presets:"]
+    lines += [f"  {name:13} {text}" for name, text in PRESETS.items()]
+    lines += [
+        "environment:",
+        "  ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE   used when set; else a domain of the",
+        "                run's own and LOCALHOST: nothing is visible beyond this machine",
+    ]
+    return "\n".join(lines)
+
+
+def listing(tasks: dict[str, str]) -> str:
+    """Return what ``--list`` prints.
+
+    :param tasks: title of each task by name.
+    """
+    sections = {"tasks": tasks, "rewards (--reward)": REWARDS, "presets (--preset)": PRESETS}
+    lines = []
+    for title, entries in sections.items():
+        lines.append(f"{title}:")
+        lines += [f"  {name:13} {text}" for name, text in entries.items()]
+    return "\n".join(lines)

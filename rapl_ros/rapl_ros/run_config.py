@@ -1,0 +1,95 @@
+"""The resolved settings of a run, kept as ``config.yaml`` in its folder."""
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rapl_core.errors import CorruptFileError, RaplError
+
+CONFIG_FILE = "config.yaml"
+RESULTS_FILE = "results.json"
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a run depends on; ``config.yaml`` in the run folder."""
+
+    task: str
+    reward: str = "rapl"
+    encoder: str = ""
+    """Encoder that embeds the pictures; empty: the one that ``reward`` implies."""
+    preset: str = "tuned"
+    seed: int = 0
+    worlds: int = 4
+    pool_episodes: int = 300
+    """Videos in the pool that is ranked."""
+    triplets: int = 150
+    steps: int = 60_000
+    """World steps of learning, all worlds together."""
+    evaluate_every: int = 5_000
+    """World steps between two evaluations while learning."""
+    evaluate_episodes: int = 20
+    """Episodes of each of these."""
+    final_episodes: int = 50
+    """Episodes of the evaluation after learning."""
+    quick: bool = False
+
+    @property
+    def uses_rankings(self) -> bool:
+        """True when the reward comes from videos that were ranked."""
+        return self.reward != "ground_truth"
+
+    @property
+    def aligns(self) -> bool:
+        """True when an encoder is trained from the rankings."""
+        return self.reward in ("rapl", "rlhf")
+
+    @property
+    def reward_encoder(self) -> str:
+        """Encoder whose embeddings the reward is computed from; empty with ground_truth."""
+        return "" if self.reward == "ground_truth" else (self.encoder or self.reward)
+
+
+def save_config(config: RunConfig, folder: Path, resolved: dict[str, Any] | None = None) -> Path:
+    """Write ``config.yaml`` atomically.
+
+    :param resolved: further sections, for the reader only (versions, machine, node parameters).
+    """
+    path = folder / CONFIG_FILE
+    text = yaml.safe_dump({"run": asdict(config), **(resolved or {})}, sort_keys=False)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(text)
+    temporary.replace(path)
+    return path
+
+
+def load_config(folder: Path) -> RunConfig:
+    """Read the settings of the run in ``folder``.
+
+    :raises CorruptFileError: if there is no run or its settings cannot be read.
+    """
+    path = folder / CONFIG_FILE
+    try:
+        return RunConfig(**yaml.safe_load(path.read_text())["run"])
+    except FileNotFoundError as error:
+        raise CorruptFileError(f"{folder} holds no run: {CONFIG_FILE} is missing") from error
+    except (OSError, yaml.YAMLError, TypeError, KeyError) as error:
+        raise CorruptFileError(f"cannot read {path}: {error}") from error
+
+
+def check_writable(folder: Path) -> None:
+    """Create ``folder`` and prove that files can be written there.
+
+    :raises RaplError: if not, with the reason.
+    """
+    probe = folder / f".write-test-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise RaplError(
+            f"cannot write to the run folder {folder}: {error.strerror}; give another with --out"
+        ) from error

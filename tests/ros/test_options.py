@@ -1,0 +1,125 @@
+"""The command line: what is accepted, what is refused and with which words."""
+
+from pathlib import Path
+
+import pytest
+from rapl_core.errors import CorruptFileError, RaplError
+from rapl_ros.options import RunRequest, listing, parse
+from rapl_ros.run_config import RunConfig, check_writable, load_config, save_config
+
+TASKS = ("franka_group", "kuka_group")
+
+
+def ask(runs: Path, *argv: str) -> RunRequest:
+    return parse(argv, TASKS, runs)
+
+
+def refusal(capsys: pytest.CaptureFixture[str], runs: Path, *argv: str) -> str:
+    with pytest.raises(SystemExit) as end:
+        ask(runs, *argv)
+    assert end.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_task_alone_gives_the_documented_defaults(tmp_path: Path) -> None:
+    request = ask(tmp_path, "franka_group")
+    assert request.config == RunConfig("franka_group")
+    assert (request.config.steps, request.config.triplets, request.config.worlds) == (60000, 150, 4)
+    assert request.folder == tmp_path / "franka_group" / "rapl-tuned-seed0"
+    assert not request.resume
+
+
+def test_a_second_run_gets_a_folder_of_its_own(tmp_path: Path) -> None:
+    first = ask(tmp_path, "franka_group").folder
+    first.mkdir(parents=True)
+    assert ask(tmp_path, "franka_group").folder == first.with_name(first.name + "-2")
+
+
+def test_quick_is_small_and_its_parts_can_be_overridden(tmp_path: Path) -> None:
+    config = ask(tmp_path, "franka_group", "--quick", "--steps", "1_000").config
+    assert config.quick and config.steps == 1000
+    assert config.pool_episodes < RunConfig("x").pool_episodes
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["franka_grp"], ["unknown task 'franka_grp'", "franka_group, kuka_group"]),
+        ([], ["a task is missing", "franka_group"]),
+        (["franka_group", "--reward", "gold"], ["'gold'", "ground_truth", "imagenet", "rapl"]),
+        (["franka_group", "--preset", "best"], ["'best'", "authors_code", "paper", "tuned"]),
+        (["franka_group", "--steps", "many"], ["'many'", "whole number, 1 or more"]),
+        (["franka_group", "--worlds", "99"], ["1 to 16"]),
+        (["franka_group", "--stesp", "5"], ["--stesp", "known options", "--steps"]),
+        (["--resume"], ["needs a run folder or a task"]),
+        (["franka_group", "--resume"], ["no unfinished run of franka_group"]),
+    ],
+)
+def test_what_is_unknown_is_refused_and_the_known_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, argv: list[str], words: list[str]
+) -> None:
+    message = refusal(capsys, tmp_path, *argv)
+    for word in words:
+        assert word in message
+
+
+def test_ground_truth_needs_no_rankings_and_imagenet_no_alignment() -> None:
+    truth, imagenet = RunConfig("t", reward="ground_truth"), RunConfig("t", reward="imagenet")
+    assert not truth.uses_rankings and not truth.aligns and truth.reward_encoder == ""
+    assert imagenet.uses_rankings and not imagenet.aligns and imagenet.reward_encoder == "imagenet"
+    assert RunConfig("t").aligns
+
+
+def test_resume_takes_the_newest_unfinished_run_with_its_settings(tmp_path: Path) -> None:
+    finished, open_run = tmp_path / "franka_group" / "a", tmp_path / "franka_group" / "b"
+    for folder in (finished, open_run):
+        folder.mkdir(parents=True)
+        save_config(RunConfig("franka_group", seed=7, steps=500), folder)
+    (finished / "results.json").write_text("{}")
+    for argv in (["franka_group", "--resume"], ["--resume", "franka_group"]):
+        request = ask(tmp_path, *argv)
+        assert request.folder == open_run and request.resume
+        assert request.config.seed == 7
+    longer = ask(tmp_path, "--resume", str(finished), "--steps", "900")
+    assert longer.config.steps == 900 and longer.folder == finished
+
+
+def test_a_resumed_run_keeps_its_settings(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "franka_group" / "a"
+    folder.mkdir(parents=True)
+    save_config(RunConfig("franka_group", seed=7), folder)
+    assert "started with seed 7" in refusal(
+        capsys, tmp_path, "franka_group", "--resume", "--seed", "8"
+    )
+    assert "holds a run already" in refusal(
+        capsys, tmp_path, "franka_group", "--out", str(folder)
+    )
+
+
+def test_config_survives_the_disk_and_a_broken_one_is_named(tmp_path: Path) -> None:
+    config = RunConfig("franka_group", reward="imagenet", seed=3, quick=True)
+    save_config(config, tmp_path, {"versions": {"python": "3"}})
+    assert load_config(tmp_path) == config
+    (tmp_path / "config.yaml").write_text("run: {task: [")
+    with pytest.raises(CorruptFileError, match=r"config\.yaml"):
+        load_config(tmp_path)
+    with pytest.raises(CorruptFileError, match="holds no run"):
+        load_config(tmp_path / "elsewhere")
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    check_writable(tmp_path / "fine" / "run")
+    assert list((tmp_path / "fine" / "run").iterdir()) == []
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RaplError, match="cannot write to the run folder.*--out"):
+        check_writable(tmp_path / "file" / "run")
+    with pytest.raises(RaplError, match="cannot write to the run folder"):
+        check_writable(Path("/proc/rapl"))
+
+
+def test_the_listing_names_tasks_rewards_and_presets() -> None:
+    text = listing({"franka_group": "push two cubes together"})
+    for word in ("franka_group", "push two cubes together", "ground_truth", "authors_code"):
+        assert word in text
