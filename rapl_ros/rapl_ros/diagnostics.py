@@ -1,0 +1,83 @@
+"""What is wrong with a node and what it counts, on /diagnostics."""
+
+from collections import Counter
+from typing import Final
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from rapl_ros import qos, topics
+
+OK: Final = DiagnosticStatus.OK
+WARN: Final = DiagnosticStatus.WARN
+ERROR: Final = DiagnosticStatus.ERROR
+
+
+class Diagnostics:
+    """Conditions and counters of one node, published as one status.
+
+    A condition stands until it is cleared; the status has the worst level of all. A new or worse
+    condition is logged once and published at once, the rest when ``publish`` is called.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(
+            DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics()
+        )
+        self._conditions: dict[str, tuple[bytes, str]] = {}
+        self.counters: Counter[str] = Counter()
+
+    def warn(self, key: str, message: str) -> None:
+        """Something is missing or was dropped, and the node goes on."""
+        self._set(key, WARN, message)
+
+    def error(self, key: str, message: str) -> None:
+        """Something is wrong that somebody must repair."""
+        self._set(key, ERROR, message)
+
+    def clear(self, key: str) -> None:
+        """The condition is over; say so once."""
+        if self._conditions.pop(key, None) is not None:
+            self._node.get_logger().info(f"{key}: well again")
+            self.publish()
+
+    def count(self, key: str, by: int = 1) -> None:
+        """Add to a counter, e.g. ``ignored_actions``."""
+        self.counters[key] += by
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """What stands now, by key."""
+        return {key: message for key, (_, message) in self._conditions.items()}
+
+    def publish(self) -> None:
+        """Publish the status."""
+        name = self._node.get_fully_qualified_name()
+        level = max((level for level, _ in self._conditions.values()), default=OK)
+        values = [KeyValue(key=k, value=message) for k, (_, message) in self._conditions.items()]
+        values += [KeyValue(key=key, value=str(n)) for key, n in sorted(self.counters.items())]
+        status = DiagnosticStatus(
+            level=level,
+            name=name,
+            message="; ".join(self.conditions.values()) or "ok",
+            hardware_id=name,
+            values=values,
+        )
+        stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(DiagnosticArray(header=Header(stamp=stamp), status=[status]))
+
+    def _set(self, key: str, level: bytes, message: str) -> None:
+        known = self._conditions.get(key)
+        if known == (level, message):
+            return
+        self._conditions[key] = (level, message)
+        if known is None or known[0] < level:
+            logger = self._node.get_logger()
+            if level == ERROR:
+                logger.error(f"{key}: {message}")
+            else:
+                logger.warning(f"{key}: {message}")
+            self.publish()
+

@@ -1,0 +1,142 @@
+"""What travels between nodes and has no type in rapl_core: frozen, validated, free of ROS."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rapl_core.errors import ShapeError
+from rapl_core.types import check_episode_id
+
+
+class JoinKey(NamedTuple):
+    """Names one image: the key by which image, state and embedding are joined."""
+
+    frame_id: str
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class Instant:
+    """One control instant of one world (State.msg)."""
+
+    key: JoinKey
+    """Of the state itself: frame of its positions, instant measured."""
+    image: JoinKey
+    """Of the image that shows this instant."""
+    world: int
+    episode_id: str
+    purpose: str
+    controller: str
+    step: int
+    is_last: bool
+    terminated: bool
+    values: NDArray[np.float64]
+    """(S,)"""
+    human_reward: float | None = None
+    """r* of arriving here; None where the truth is unknown (a real robot)."""
+    success: bool | None = None
+
+    def __post_init__(self) -> None:
+        check_episode_id(self.episode_id)
+        check_finite(f"state of episode {self.episode_id} at step {self.step}", self.values)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Instant measured; increases strictly per world."""
+        return self.key.stamp_ns
+
+
+@dataclass(frozen=True)
+class Command:
+    """The action that answers one instant (Action.msg)."""
+
+    key: JoinKey
+    """Copied from the state that it answers."""
+    world: int
+    episode_id: str
+    step: int
+    controller: str
+    values: NDArray[np.float64]
+    """(A,), each in [-1, 1]."""
+    behaviour: str = ""
+
+    def __post_init__(self) -> None:
+        check_episode_id(self.episode_id)
+        check_finite(f"action of episode {self.episode_id} at step {self.step}", self.values)
+
+
+@dataclass(frozen=True)
+class EmbeddedFrame:
+    """One image through an encoder (Embedding.msg)."""
+
+    image: JoinKey
+    encoder: str
+    version: str
+    values: NDArray[np.float32]
+    """(D,)"""
+
+    def __post_init__(self) -> None:
+        check_finite(f"embedding of {self.image.frame_id} at {self.image.stamp_ns} ns", self.values)
+
+
+@dataclass(frozen=True)
+class EpisodeReward:
+    """Header part of Reward.msg: whose reward it is; the values are a RewardTrace."""
+
+    key: JoinKey
+    """Of the last state received."""
+    episode_id: str
+    world: int
+    purpose: str
+    encoder: str = ""
+    version: str = ""
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """A complete episode that is on disk (EpisodeInfo.msg)."""
+
+    key: JoinKey
+    """Of its last state."""
+    episode_id: str
+    task: str
+    world: int
+    purpose: str
+    controller: str
+    behaviour: str
+    steps: int
+    uri: str
+    """Relative to the run folder."""
+    human_return: float | None = None
+    """None where the truth is unknown."""
+    success: bool | None = None
+
+
+@dataclass(frozen=True)
+class World:
+    """What the simulator or the robot is (WorldInfo.msg)."""
+
+    task: str
+    worlds: int
+    period_s: float
+    max_steps: int
+    """T: transitions of a full episode."""
+    lockstep: bool
+    state_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    action_names: tuple[str, ...]
+    camera_frames: tuple[str, ...]
+    seed: int
+
+
+def check_finite(name: str, values: NDArray[np.floating]) -> None:
+    """Raise ShapeError if ``values`` is empty or has NaN or infinite elements."""
+    if values.size == 0:
+        raise ShapeError(f"{name} is empty")
+    if not np.isfinite(values).all():
+        bad = np.flatnonzero(~np.isfinite(values))
+        raise ShapeError(
+            f"{name} has {bad.size} NaN or infinite of {values.size} values, first at {bad[0]}"
+        )
