@@ -1,12 +1,15 @@
-"""How a transport problem is posed and what its solution reports."""
+"""How a transport problem is posed and what its solution reports. Needs no torch by itself."""
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
-
-import torch
+from typing import TYPE_CHECKING, Literal, get_args
 
 from rapl_core.errors import ShapeError, UnknownNameError
+
+if TYPE_CHECKING:
+    import torch
 
 CostKind = Literal["cosine", "euclidean", "sqeuclidean"]
 SolverKind = Literal["sinkhorn", "exact", "uniform"]
