@@ -9,11 +9,15 @@ setup(
     author="RAPL",
     author_email="rapl@example.org",
     license="Apache-2.0",
-    python_requires=">=3.10",
+    python_requires=">=3.11",
     package_dir={"": "."},  # an editable install is then one .pth line, not an import hook
     packages=find_packages(include=["rapl_core", "rapl_core.*"]),
     include_package_data=True,
-    package_data={"rapl_core": ["py.typed"], "": ["*.yaml", "*.json", "*.xml", "*.html"]},
+    package_data={
+        "rapl_core": ["py.typed"],
+        "rapl_core.episodes": ["messages/*.msg"],
+        "": ["*.yaml", "*.json", "*.xml", "*.html"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/rapl_core"]),
         ("share/rapl_core", ["package.xml"]),
