@@ -8,6 +8,7 @@ of seconds. What comes in is validated and refused with a RaplError.
 import io
 from array import array
 from collections.abc import Iterable, Sequence
+from typing import cast
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -19,6 +20,8 @@ from sensor_msgs.msg import CompressedImage, Image, JointState
 from std_msgs.msg import Header
 
 from rapl_core.errors import RankingError, ShapeError
+from rapl_core.streaming.reward_rule import RewardKind, RewardRule
+from rapl_core.transport.config import CostKind, ExpertChoice, SolverKind, TransportConfig
 from rapl_core.types import (
     EmbeddedEpisode,
     EncoderInfo,
@@ -290,8 +293,10 @@ def world_from_ros(msg: wire_msg.WorldInfo) -> World:
 # Encoder, embedding, experts, reward
 
 
-def encoder_info_to_ros(info: EncoderInfo, stamp_ns: int) -> wire_msg.EncoderInfo:
-    """EncoderInfo with the stamp at which it took over."""
+def encoder_info_to_ros(
+    info: EncoderInfo, rule: RewardRule, stamp_ns: int
+) -> wire_msg.EncoderInfo:
+    """EncoderInfo and how a reward follows from its embeddings; stamped when it took over."""
     return wire_msg.EncoderInfo(
         header=Header(stamp=time_to_ros(stamp_ns)),
         encoder=info.name,
@@ -301,8 +306,33 @@ def encoder_info_to_ros(info: EncoderInfo, stamp_ns: int) -> wire_msg.EncoderInf
         dimension=int(info.dimension),
         image_width=int(info.image_width),
         image_height=int(info.image_height),
-        reward_scale=float(info.reward_scale),
+        reward_scale=float(rule.scale),
+        reward_kind=rule.kind,
+        cost=rule.transport.cost,
+        solver=rule.transport.solver,
+        epsilon=float(rule.transport.epsilon),
+        max_iterations=int(rule.transport.max_iterations),
+        tolerance=float(rule.transport.tolerance),
+        expert=rule.transport.expert,
     )
+
+
+def reward_rule_from_ros(msg: wire_msg.EncoderInfo) -> RewardRule:
+    """How a reward follows from the embeddings of this encoder.
+
+    :raises RaplError: if cost, solver, expert choice or kind is unknown or a number out of range.
+    """
+    if msg.reward_kind == "scalar":
+        return RewardRule("scalar", msg.reward_scale)
+    transport = TransportConfig(
+        cost=cast(CostKind, msg.cost),
+        solver=cast(SolverKind, msg.solver),
+        epsilon=msg.epsilon,
+        max_iterations=msg.max_iterations,
+        tolerance=msg.tolerance,
+        expert=cast(ExpertChoice, msg.expert),
+    )
+    return RewardRule(cast(RewardKind, msg.reward_kind), msg.reward_scale, transport)
 
 
 def encoder_info_from_ros(msg: wire_msg.EncoderInfo) -> EncoderInfo:
@@ -327,6 +357,11 @@ def embedding_to_ros(frame: EmbeddedFrame) -> wire_msg.Embedding:
         version=frame.version,
         values=singles_to_ros(frame.values),
     )
+
+
+def failed_embedding_to_ros(image: JoinKey, encoder: str, version: str) -> wire_msg.Embedding:
+    """An Embedding without values: this image could not be embedded and never will be."""
+    return wire_msg.Embedding(header=header_to_ros(image), encoder=encoder, version=version)
 
 
 def embedding_from_ros(msg: wire_msg.Embedding) -> EmbeddedFrame:

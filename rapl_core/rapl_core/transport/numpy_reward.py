@@ -4,6 +4,8 @@ The same equations as ``reward.ot_reward``, step by step; a test holds the two t
 """
 
 import math
+import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -138,7 +140,9 @@ def _marginal_error(plan: Matrix) -> float:
 
 
 def _exact(cost: Matrix) -> Matrix:
-    import ot  # here, since it brings in every array library that is installed
+    if "torch" not in sys.modules:  # else POT brings it in: 250 MiB that are not needed here
+        os.environ.setdefault("POT_BACKEND_DISABLE_PYTORCH", "1")
+    import ot
 
     t, s = cost.shape
     plan = ot.emd(np.full(t, 1.0 / t), np.full(s, 1.0 / s), cost, numItermax=_EXACT_ITERATIONS)

@@ -76,9 +76,16 @@ def test_no_convergence_is_an_error_where_it_was_asked_for() -> None:
         numpy_reward.ot_reward(video(rng, 9, "z").values, [video(rng, 9, "e")], config, 1.0)
 
 
-def test_it_loads_no_torch() -> None:
-    code = (
-        "import sys, rapl_core.transport.numpy_reward, rapl_core.transport.config;"
-        "sys.exit('torch' in sys.modules)"
-    )
+@pytest.mark.parametrize("solver", ["sinkhorn", "exact", "uniform"])
+def test_it_loads_no_torch(solver: str) -> None:
+    code = f"""
+import sys
+import numpy as np
+from rapl_core.transport.config import TransportConfig
+from rapl_core.transport.numpy_reward import ot_reward
+from rapl_core.types import EmbeddedEpisode
+expert = EmbeddedEpisode("e", np.eye(3, dtype=np.float32))
+ot_reward(np.eye(3), [expert], TransportConfig(solver="{solver}"), 1.0)
+sys.exit("torch" in sys.modules)
+"""
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
