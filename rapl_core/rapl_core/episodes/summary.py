@@ -96,5 +96,5 @@ def _check_kinds(summary: EpisodeSummary) -> None:
     kinds = {int: int, str: str, bool: bool, float: (int, float), bool | None: (bool, type(None))}
     for field in fields(summary):
         value = getattr(summary, field.name)
-        if not isinstance(value, kinds[field.type]):  # type: ignore[index]
+        if not isinstance(value, kinds[field.type]):  # type: ignore[arg-type, index]
             raise TypeError(f"{field.name} is {value!r}")
