@@ -9,7 +9,7 @@ setup(
     author="RAPL",
     author_email="rapl@example.org",
     license="Apache-2.0",
-    python_requires=">=3.10",
+    python_requires=">=3.11",
     package_dir={"": "."},  # an editable install is then one .pth line, not an import hook
     packages=find_packages(include=["rapl_ros", "rapl_ros.*"]),
     include_package_data=True,
