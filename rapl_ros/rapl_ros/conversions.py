@@ -6,6 +6,7 @@ of seconds. What comes in is validated and refused with a RaplError.
 """
 
 import io
+import math
 from array import array
 from collections.abc import Iterable, Sequence
 from typing import cast
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PillowImage
 from PIL import UnidentifiedImageError
 from rapl_msgs import msg as wire_msg
-from sensor_msgs.msg import CompressedImage, Image, JointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
 from std_msgs.msg import Header
 
 from rapl_core.errors import RankingError, ShapeError
@@ -254,6 +255,25 @@ def joint_state_to_ros(
         name=list(names),
         position=floats_to_ros(positions),
         velocity=floats_to_ros(velocities),
+    )
+
+
+def camera_info_to_ros(key: JoinKey, width: int, height: int, fovy_deg: float) -> CameraInfo:
+    """Pinhole camera without distortion, from its vertical field of view.
+
+    The focal length is H / 2 / tan(fovy / 2) pixels, the principal point the picture's middle.
+    """
+    focal = height / 2 / math.tan(math.radians(fovy_deg) / 2)
+    x, y = width / 2, height / 2
+    return CameraInfo(
+        header=header_to_ros(key),
+        width=int(width),
+        height=int(height),
+        distortion_model="plumb_bob",
+        d=[0.0] * 5,
+        k=[focal, 0.0, x, 0.0, focal, y, 0.0, 0.0, 1.0],
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[focal, 0.0, x, 0.0, 0.0, focal, y, 0.0, 0.0, 0.0, 1.0, 0.0],
     )
 
 

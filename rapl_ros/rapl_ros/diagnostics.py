@@ -8,6 +8,7 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from rapl_ros import qos, topics
+from rapl_ros.time_shares import TimeShares
 
 OK: Final = DiagnosticStatus.OK
 WARN: Final = DiagnosticStatus.WARN
@@ -15,7 +16,7 @@ ERROR: Final = DiagnosticStatus.ERROR
 
 
 class Diagnostics:
-    """Conditions and counters of one node, published as one status.
+    """Conditions, counters and shares of time of one node, published as one status.
 
     A condition stands until it is cleared; the status has the worst level of all. A new or worse
     condition is logged once and published at once, the rest when ``publish`` is called.
@@ -28,6 +29,7 @@ class Diagnostics:
         )
         self._conditions: dict[str, tuple[bytes, str]] = {}
         self.counters: Counter[str] = Counter()
+        self.shares = TimeShares()
 
     def warn(self, key: str, message: str) -> None:
         """Something is missing or was dropped, and the node goes on."""
@@ -58,6 +60,10 @@ class Diagnostics:
         level = max((level for level, _ in self._conditions.values()), default=OK)
         values = [KeyValue(key=k, value=message) for k, (_, message) in self._conditions.items()]
         values += [KeyValue(key=key, value=str(n)) for key, n in sorted(self.counters.items())]
+        values += [
+            KeyValue(key=f"{purpose}_s", value=f"{seconds:.3f}")
+            for purpose, seconds in sorted(self.shares.seconds.items())
+        ]
         status = DiagnosticStatus(
             level=level,
             name=name,

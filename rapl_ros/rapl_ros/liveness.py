@@ -86,7 +86,8 @@ class Peer:
         self.detail = ""
         self._on_lost, self._on_found = on_lost, on_found
         self._changed_s = self._heard_s = time.monotonic()
-        node.create_subscription(
+        self._node = node
+        self._subscription = node.create_subscription(
             HeartbeatMsg,
             topics.of_node(topics.HEARTBEAT, name),
             self._on_heartbeat,
@@ -95,6 +96,10 @@ class Peer:
                 liveliness=self._on_liveliness, use_default_callbacks=False
             ),
         )
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._node.destroy_subscription(self._subscription)
 
     def complaint(self) -> str:
         """What is wrong with it, or an empty string."""

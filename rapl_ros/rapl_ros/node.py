@@ -43,9 +43,9 @@ class RaplNode(Node):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.diagnostics = Diagnostics(self)
         self.heartbeat = Heartbeat(self)
-        self.peers = {
-            peer: Peer(self, peer, self._on_peer_lost, self._on_peer_found) for peer in peers
-        }
+        self.peers: dict[str, Peer] = {}
+        for peer in peers:
+            self.watch(peer)
         self.heartbeat.beat()
         self.steady_timer(PERIOD_S, self._on_second)
 
@@ -97,6 +97,17 @@ class RaplNode(Node):
     def steady_timer(self, period_s: float, callback: Callable[[], None]) -> Timer:
         """Create a timer on steady time: one on /clock stops when the simulator does."""
         return self.create_timer(period_s, callback, clock=self._steady)
+
+    def watch(self, peer: str) -> None:
+        """Watch a further peer from now on."""
+        if peer not in self.peers:
+            self.peers[peer] = Peer(self, peer, self._on_peer_lost, self._on_peer_found)
+
+    def unwatch(self, peer: str) -> None:
+        """Watch a peer no longer."""
+        if peer in self.peers:
+            self.peers.pop(peer).close()
+            self.diagnostics.clear(f"peer {peer}")
 
     def missing_peers(self) -> list[str]:
         """Names of the peers that are not alive now."""
