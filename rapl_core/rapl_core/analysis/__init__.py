@@ -1,0 +1,1 @@
+"""What a run or a reward is worth: measures, figures and the report."""

@@ -1,0 +1,133 @@
+"""What a run shows: agreement with the human, examples, success; and ``results.json``."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rapl_core.analysis import provenance
+from rapl_core.analysis.curves import SuccessCurve
+from rapl_core.analysis.measures import arm_only_share
+from rapl_core.analysis.record import RunRecord, pool_composition
+from rapl_core.analysis.scoring import (
+    Agreement,
+    RewardingEncoder,
+    ScoredVideo,
+    Scorer,
+    choose_examples,
+)
+
+MEASURED_VIDEOS = 100
+"""Videos of the pool that the reward is compared with the human on, as in the paper."""
+MIME = "mime"
+"""In the name of behaviours in which the arm moves and the objects do not."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a report says, before it is put into words and pictures."""
+
+    agreement: tuple[tuple[str, Agreement], ...]
+    """(name of the set, agreement) of the pool and of the robot's own videos."""
+    arm_share: float
+    """Share of the experts' gain that mimes earn; NaN without mimes or experts."""
+    preferred: tuple[ScoredVideo, ...]
+    disliked: tuple[ScoredVideo, ...]
+    robot: tuple[ScoredVideo, ...]
+
+
+def find(record: RunRecord, scorer: Scorer, measured: int = MEASURED_VIDEOS) -> Findings:
+    """Look at the videos of a run.
+
+    :param measured: at most so many videos of the pool, and of the robot's, are compared.
+    """
+    experts = record.expert_ids()
+    behaviours = {e.episode_id: e.behaviour for e in record.pool}
+    preferred, disliked = choose_examples(_liking(record), behaviours, experts)
+    pool = _spread([e.episode_id for e in record.pool if e.episode_id not in experts], measured)
+    own = [e.episode_id for e in record.episodes if e.purpose == "evaluate"]
+    latest = own[-int(record.settings.get("final_episodes", 50)) :]
+    sets = [("pool", pool), ("the robot's own, after learning", _spread(latest, measured))]
+    mimes = [e for e in behaviours if MIME in behaviours[e]]
+    return Findings(
+        agreement=tuple((name, scorer.agreement(ids)) for name, ids in sets if ids),
+        arm_share=arm_only_share(
+            [scorer.score(e).reward for e in experts],
+            [scorer.score(e).reward for e in _spread(mimes, 20)],
+        ),
+        preferred=tuple(map(scorer.score, preferred)),
+        disliked=tuple(map(scorer.score, disliked)),
+        robot=tuple(map(scorer.score, _typical(record, latest))),
+    )
+
+
+def results(
+    record: RunRecord,
+    findings: Findings,
+    curve: SuccessCurve | None,
+    encoder: RewardingEncoder | None,
+) -> dict[str, Any]:
+    """Return what ``results.json`` holds; what is unknown is null."""
+    final = record.stage("evaluate").result
+    align = record.stage("align").result
+    found: dict[str, Any] = _plain(
+        {
+            "settings": dict(record.settings),
+            "encoder": asdict(encoder.info) if encoder else None,
+            "success": {
+                "final": final.get("success_rate"),
+                "final_episodes": final.get("episodes"),
+                "mean_of_last_three": curve.last(3) if curve else None,
+                "human_return": final.get("human_return_mean"),
+                "by_step": [asdict(point) for point in curve.points] if curve else [],
+            },
+            "triplets": len(record.triplets()),
+            "triplet_accuracy_held_out": align.get("held_out_accuracy"),
+            "agreement": {name: asdict(a) for name, a in findings.agreement},
+            "arm_only_share": findings.arm_share,
+            "pool": [asdict(share) for share in pool_composition(record)],
+            "stages": [asdict(stage) for stage in record.stages],
+            "wall_time_s": sum(stage.seconds for stage in record.stages),
+            "versions": provenance.versions(),
+            "commit": provenance.commit(),
+            "machine": provenance.machine(),
+        }
+    )
+    return found
+
+
+def _liking(record: RunRecord) -> dict[str, float]:
+    """Preference of each video: from the rankings, or from r* in a run without rankings."""
+    return record.strengths() or {
+        e.episode_id: e.human_return for e in record.pool if math.isfinite(e.human_return)
+    }
+
+
+def _typical(record: RunRecord, episode_ids: Sequence[str], most: int = 2) -> list[str]:
+    """One of the robot's successes and one of its failures, or what there is."""
+    outcome = {e.episode_id: e.success for e in record.episodes}
+    kinds = [[e for e in episode_ids if outcome[e] is wanted] for wanted in (True, False)]
+    chosen = [kind[len(kind) // 2] for kind in kinds if kind]
+    return (chosen or list(episode_ids[:1]))[:most]
+
+
+def _spread(episode_ids: Sequence[str], most: int) -> list[str]:
+    """At most ``most`` of the videos, evenly spaced in their order."""
+    if len(episode_ids) <= most:
+        return list(episode_ids)
+    return [episode_ids[i] for i in np.linspace(0, len(episode_ids) - 1, most).round().astype(int)]
+
+
+def _plain(value: Any) -> Any:
+    """JSON without NaN, which strict readers refuse."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

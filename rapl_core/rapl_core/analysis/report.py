@@ -1,0 +1,239 @@
+"""The report of a run: ``report.html``, which needs nothing beside it, and ``results.json``."""
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import yaml  # type: ignore[import-untyped]
+
+from rapl_core.analysis import figures, provenance
+from rapl_core.analysis.curves import CURVE_FILE, SuccessCurve, oracle_curve, read_curve
+from rapl_core.analysis.findings import Findings, find, results
+from rapl_core.analysis.record import RunRecord, pool_composition, read_run
+from rapl_core.analysis.scoring import RewardingEncoder, ScoredVideo, Scorer
+from rapl_core.analysis.strips import picture_uri, strip
+
+REPORT_FILE = "report.html"
+RESULTS_FILE = "results.json"
+
+REWARD_WORDS = {
+    "rapl": "RAPL, learnt from rankings",
+    "rlhf": "RLHF, learnt from rankings",
+    "imagenet": "optimal transport in raw ImageNet features",
+    "ground_truth": "the human's own reward (oracle)",
+}
+
+
+def write_report(
+    folder: Path, encoder: RewardingEncoder | None, oracle: SuccessCurve | None = None
+) -> Path:
+    """Write ``report.html`` and ``results.json`` of the run in ``folder``.
+
+    :param encoder: the reward's; None: r* was the reward.
+    :param oracle: success of a run with ``--reward ground_truth``; None: that of a run beside this
+        one, if there is one.
+    :return: path of the report.
+    """
+    record = read_run(folder)
+    scorer = Scorer(record.store, encoder, record.expert_ids() if encoder else ())
+    findings = find(record, scorer)
+    curve = read_curve(folder / CURVE_FILE)
+    found = results(record, findings, curve, encoder)
+    page = _render(record, findings, scorer, curve, oracle or oracle_curve(folder), found)
+    path = _write(folder / REPORT_FILE, page)
+    _write(folder / RESULTS_FILE, json.dumps(found, indent=1) + "\n")
+    return path
+
+
+def _render(
+    record: RunRecord,
+    findings: Findings,
+    scorer: Scorer,
+    curve: SuccessCurve | None,
+    oracle: SuccessCurve | None,
+    found: Mapping[str, Any],
+) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rapl_core.analysis", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    environment.filters |= {"num": _number, "percent": _percent, "clock": _clock}
+    reward = str(record.settings["reward"])
+    pool = pool_composition(record)
+    return environment.get_template("report.html").render(
+        title=f"{record.task}: {REWARD_WORDS.get(reward, reward)}",
+        subtitle=_subtitle(record, found),
+        quick=bool(record.settings.get("quick")),
+        facts=_facts(record, found),
+        **_success(curve, oracle, reward),
+        **_videos(findings, reward),
+        **_plans(findings, scorer),
+        agreement=() if reward == "ground_truth" else findings.agreement,
+        arm_share=_arm_words(findings.arm_share) if reward != "ground_truth" else "",
+        pool=pool,
+        pool_figure=figures.bars_figure(
+            [b.behaviour for b in pool], [b.videos for b in pool], [b.strength for b in pool]
+        )
+        if pool
+        else "",
+        pool_caption="Preference is the Bradley-Terry strength from the rankings alone (mean 0). "
+        "Success is measured, and used neither for the rankings nor for learning.",
+        stages=[_stage_row(stage) for stage in record.stages],
+        provenance=_provenance(found),
+        configuration=yaml.safe_dump(dict(record.config), sort_keys=False, allow_unicode=True),
+    )
+
+
+def _subtitle(record: RunRecord, found: Mapping[str, Any]) -> str:
+    settings, encoder = record.settings, found["encoder"]
+    parts = [f"seed {settings['seed']}", f"{settings['steps']} world steps"]
+    if settings["reward"] in ("rapl", "rlhf"):
+        parts.insert(0, f"preset {settings['preset']}")
+    if encoder:
+        parts.append(f"encoder {encoder['name']} {encoder['version']} on {encoder['backbone']}")
+    return ", ".join(parts)
+
+
+def _facts(record: RunRecord, found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    success = found["success"]
+    facts = [
+        (_percent(success["final"]), f"success over {success['final_episodes'] or 0} episodes"),
+        (_percent(success["mean_of_last_three"]), "success, mean of the last three evaluations"),
+    ]
+    if record.rankings:
+        facts.append((str(found["triplets"]), f"triplets from {len(record.pool)} videos"))
+    if found["triplet_accuracy_held_out"] is not None:
+        facts.append(
+            (_percent(found["triplet_accuracy_held_out"]), "of held-out triplets ordered right")
+        )
+    return [*facts, (_clock(found["wall_time_s"]), "wall time, all stages")]
+
+
+def _success(
+    curve: SuccessCurve | None, oracle: SuccessCurve | None, reward: str
+) -> dict[str, str]:
+    named = []
+    for label, what, dashed in ((reward, curve, False), ("oracle (r* as reward)", oracle, True)):
+        if what is not None and what.points:
+            steps = np.array([p.steps for p in what.points], dtype=np.float64)
+            rates = np.array([p.success_rate for p in what.points])
+            named.append(figures.NamedCurve(label, steps, rates, dashed))
+    caption = "Deterministic policy on starts that are seen nowhere else."
+    if oracle is None and reward != "ground_truth":
+        caption += " For the oracle's curve beside it, run the task with --reward ground_truth."
+    return {
+        "success": figures.success_figure(named) if named else "",
+        "success_caption": caption,
+    }
+
+
+def _videos(findings: Findings, reward: str) -> dict[str, Any]:
+    groups = (
+        ("preferred", "preferred", findings.preferred),
+        ("disliked", "disliked", findings.disliked),
+        ("robot", "the robot, after learning", findings.robot),
+    )
+    strips: list[dict[str, str]] = []
+    rows = []
+    for kind, label, videos in groups:
+        for video in videos:
+            letter = chr(ord("A") + len(strips))
+            strips.append(
+                {
+                    "letter": letter,
+                    "kind": kind,
+                    "label": label,
+                    "words": _video_words(video),
+                    "uri": picture_uri(strip(video.episode.frames)),
+                }
+            )
+            rows.append((f"{letter} {label}", video.reward, video.human))
+    return {
+        "strips": strips,
+        "traces": figures.traces_figure(rows, reward) if rows else "",
+        "traces_caption": "Left: the reward that the robot gets, step by step. Right: what the "
+        "human feels about the same videos; no learning ever sees it.",
+    }
+
+
+def _video_words(video: ScoredVideo) -> str:
+    outcome = {True: "success", False: "no success", None: ""}[video.episode.success]
+    parts = [video.episode.behaviour, outcome, f"sum of reward {video.reward.sum():.1f}"]
+    if video.human is not None:
+        parts.append(f"of r* {video.human.sum():.1f}")
+    return ", ".join(part for part in parts if part)
+
+
+def _plans(findings: Findings, scorer: Scorer) -> dict[str, Any]:
+    plans, solver = [], ""
+    labelled = [("preferred", v) for v in findings.preferred]
+    labelled += [("disliked", v) for v in findings.disliked]
+    for number, (label, video) in enumerate(labelled):
+        if video.embedding is not None:
+            plan, _, solver = scorer.plan(video)
+            letter = chr(ord("A") + number)
+            plans.append({"svg": figures.plan_figure(plan, f"{letter}, {label}")})
+    return {
+        "plans": plans,
+        "plans_caption": "Which frame of the video is matched with which frame of its closest "
+        "preferred video, in multiples of the uniform coupling. A bright diagonal says that the "
+        f"two go through the same motions. Solver: {solver}.",
+    }
+
+
+def _arm_words(share: float) -> str:
+    if not math.isfinite(share):
+        return ""
+    return (
+        f"Videos in which the arm moves as in the preferred ones and nothing else does earn "
+        f"{share:.0%} of their gain: 0 % is a reward that looks at the objects alone."
+    )
+
+
+def _stage_row(stage: Any) -> dict[str, Any]:
+    found = ", ".join(
+        f"{name.replace('_', ' ')} {_number(value) if isinstance(value, float) else value}"
+        for name, value in stage.result.items()
+        if isinstance(value, int | float | str) and value != ""
+    )
+    return {
+        "name": stage.name, "status": stage.status, "seconds": stage.seconds,
+        "attempts": stage.attempts, "detail": stage.detail, "found": found,
+    }
+
+
+def _provenance(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
+    return [
+        ("commit", found["commit"] or "unknown"),
+        ("versions", versions),
+        *((name, str(value)) for name, value in provenance.machine().items()),
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{value:.3g}"
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{100 * value:.0f} %"
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def _write(path: Path, text: str) -> Path:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+    return path
