@@ -82,7 +82,10 @@ class Scorer:
             self.experts = tuple(self._embed(store.load(e)) for e in expert_ids)
 
     def score(self, episode_id: str) -> ScoredVideo:
-        """Return the video and its reward; kept for a second call."""
+        """Return the video and its reward; kept for a second call.
+
+        A preferred video is scored by the other ones: it is its own best match.
+        """
         if episode_id not in self._known:
             self._known[episode_id] = self._score(self._store.load(episode_id))
         return self._known[episode_id]
@@ -136,7 +139,8 @@ class Scorer:
             reward = np.full(episode.steps, np.nan) if truth is None else truth[1:]
             return ScoredVideo(episode, reward, None)
         embedding = self._embed(episode)
-        trace = self._encoder.reward(embedding.values, self.experts)
+        others = [e for e in self.experts if e.episode_id != episode.episode_id]
+        trace = self._encoder.reward(embedding.values, others)
         return ScoredVideo(episode, trace.values, embedding, trace.expert_id)
 
 

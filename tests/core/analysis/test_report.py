@@ -29,7 +29,7 @@ class WhereIsTheSpot:
     """An encoder whose embedding is the place of the bright spot in the picture."""
 
     info = EncoderInfo("spot", "0" * 16, "none", "tuned", 2, SIZE, SIZE, 1.0)
-    transport = TransportConfig(cost="euclidean", solver="exact", expert="closest")
+    transport = TransportConfig(cost="euclidean", solver="uniform", expert="mean")
 
     def embed(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
         flat = frames[..., 0].reshape(len(frames), -1).argmax(axis=1)
@@ -133,7 +133,6 @@ def test_results_hold_the_numbers_of_the_run(run: Path, page: str) -> None:
     assert agreement["videos"] == 14  # 24 without the ten experts
     assert agreement["episode"] == pytest.approx(expected_episode_correlation(run))
     assert found["agreement"]["the robot's own, after learning"]["videos"] == 3
-    assert found["arm_only_share"] < 0.3
 
 
 def expected_episode_correlation(run: Path) -> float:
