@@ -1,0 +1,36 @@
+# The targets that a contributor needs; CI runs `make test`.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+IN_ENVIRONMENT := . setup/environment.sh &&
+PYTEST := python -m pytest -m "not slow and not browser"
+
+.PHONY: help setup test test-core test-all lint format bench
+
+help:  ## this list
+	@sed -nE 's/^([a-z-]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 20
+
+setup:  ## make .venv with everything needed
+	@setup/setup.sh
+
+lint: setup  ## linter, formatter and type checker
+	@$(IN_ENVIRONMENT) ruff check .
+	@$(IN_ENVIRONMENT) ruff format --check .
+	@$(IN_ENVIRONMENT) mypy
+
+test: lint  ## what CI runs: lint and all tests but the slow ones and those with a browser
+	@$(IN_ENVIRONMENT) $(PYTEST)
+
+test-core: setup  ## the tests of rapl_core, with every import of ROS blocked
+	@$(IN_ENVIRONMENT) RAPL_TEST_WITHOUT_ROS=1 $(PYTEST) tests/core
+
+test-all: lint  ## every test; needs half an hour and, for the web page, a browser
+	@$(IN_ENVIRONMENT) python -m pytest
+
+format: setup  ## let ruff rewrite what it can
+	@$(IN_ENVIRONMENT) ruff check --fix .
+	@$(IN_ENVIRONMENT) ruff format .
+
+bench: setup  ## world steps per second of the whole graph, and where the time goes
+	@$(IN_ENVIRONMENT) python experiments/throughput.py
