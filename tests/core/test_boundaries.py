@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 import rapl_core
 
 PACKAGE = Path(rapl_core.__file__).parent
