@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml  # type: ignore[import-untyped]
+import yaml
 
 from rapl_core.analysis.stages import StageRecord, read_stages
 from rapl_core.episodes import EpisodeStore

@@ -9,7 +9,7 @@ from typing import Any
 
 import jinja2
 import numpy as np
-import yaml  # type: ignore[import-untyped]
+import yaml
 
 from rapl_core.analysis import figures, provenance
 from rapl_core.analysis.curves import CURVE_FILE, SuccessCurve, oracle_curve, read_curve
@@ -40,7 +40,8 @@ def write_report(
     :return: path of the report.
     """
     record = read_run(folder)
-    scorer = Scorer(record.store, encoder, record.expert_ids() if encoder else ())
+    experts = (encoder.expert_ids or record.expert_ids()) if encoder else ()
+    scorer = Scorer(record.store, encoder, experts)
     findings = find(record, scorer)
     curve = read_curve(folder / CURVE_FILE)
     found = results(record, findings, curve, encoder)
@@ -176,7 +177,7 @@ def _plans(findings: Findings, scorer: Scorer) -> dict[str, Any]:
     labelled = [("preferred", v) for v in findings.preferred]
     labelled += [("disliked", v) for v in findings.disliked]
     for number, (label, video) in enumerate(labelled):
-        if video.embedding is not None:
+        if scorer.has_plans:
             plan, _, solver = scorer.plan(video)
             letter = chr(ord("A") + number)
             plans.append({"svg": figures.plan_figure(plan, f"{letter}, {label}")})

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rapl_core.analysis import measures
 from rapl_core.episodes import EpisodeStore
+from rapl_core.errors import RaplError
 from rapl_core.transport.config import TransportConfig
 from rapl_core.transport.costs import pairwise_cost
 from rapl_core.transport.solvers import solve
@@ -24,6 +25,12 @@ class RewardingEncoder(Protocol):
 
     @property
     def transport(self) -> TransportConfig: ...
+
+    @property
+    def reward_kind(self) -> str: ...
+
+    @property
+    def expert_ids(self) -> tuple[str, ...]: ...
 
     def embed(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]: ...
 
@@ -90,6 +97,12 @@ class Scorer:
             self._known[episode_id] = self._score(self._store.load(episode_id))
         return self._known[episode_id]
 
+    @property
+    def has_plans(self) -> bool:
+        """Whether the reward is one of transport to preferred videos."""
+        encoder = self._encoder
+        return encoder is not None and encoder.reward_kind == "ot" and len(self.experts) > 1
+
     def plan(self, video: ScoredVideo) -> tuple[NDArray[np.float64], str, str]:
         """Return the coupling of a video with its closest expert.
 
@@ -98,8 +111,8 @@ class Scorer:
         :return: (T, S) plan, id of the expert, solver that found it.
         """
         encoder = self._encoder
-        if encoder is None or video.embedding is None:
-            raise ValueError("a reward without an encoder has no transport plan")
+        if encoder is None or video.embedding is None or not self.has_plans:
+            raise RaplError("this reward is not one of transport: it has no plan")
         config = encoder.transport
         if config.solver == "uniform":
             config = TransportConfig(cost=config.cost, solver="exact")

@@ -31,6 +31,9 @@ class WhereIsTheSpot:
     info = EncoderInfo("spot", "0" * 16, "none", "tuned", 2, SIZE, SIZE, 1.0)
     transport = TransportConfig(cost="euclidean", solver="uniform", expert="mean")
 
+    reward_kind = "ot"
+    expert_ids = ()
+
     def embed(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
         flat = frames[..., 0].reshape(len(frames), -1).argmax(axis=1)
         return np.stack(np.divmod(flat, SIZE), axis=1).astype(np.float32)
