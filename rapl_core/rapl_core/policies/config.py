@@ -1,0 +1,84 @@
+"""What there is to choose about learning: the optimisation and its schedule."""
+
+from dataclasses import dataclass, fields
+
+from rapl_core.errors import RaplError
+
+
+@dataclass(frozen=True)
+class SacConfig:
+    """Soft actor-critic (Haarnoja et al. 2018) as stable-baselines3 has it."""
+
+    hidden: tuple[int, ...] = (256, 256)
+    """Sizes of the hidden layers of actor and critics."""
+    batch_size: int = 256
+    """Transitions a gradient step."""
+    discount: float = 0.98
+    """gamma, a control period."""
+    learning_rate: float = 7e-4
+    """Of actor, critics and entropy coefficient (Adam)."""
+    target_rate: float = 0.005
+    """tau: share of the critics that moves into the target critics a gradient step."""
+    entropy_coefficient: str = "auto"
+    """``auto``: learnt from 1; ``auto_0.1``: learnt from 0.1; a number: fixed."""
+    buffer_size: int = 200_000
+    """Transitions kept for replay."""
+
+    def __post_init__(self) -> None:
+        _check_positive(self, "batch_size", "learning_rate", "target_rate", "buffer_size")
+        if not 0 <= self.discount < 1:
+            raise RaplError(f"discount is {self.discount}, expected 0 <= discount < 1")
+        if not self.hidden or min(self.hidden) < 1:
+            raise RaplError(f"hidden is {self.hidden}, expected one or more sizes above 0")
+
+
+@dataclass(frozen=True)
+class ScheduleConfig:
+    """When the learner acts at random, takes gradient steps, evaluates and saves."""
+
+    steps: int = 60_000
+    """World steps of all worlds together, after which learning ends."""
+    worlds: int = 4
+    """Worlds stepped in lockstep."""
+    random_steps: int = 2_000
+    """World steps with uniformly random actions, before the first gradient step."""
+    block_steps: int = 64
+    """World steps between two blocks of gradient steps."""
+    train_ratio: float = 1.0
+    """Gradient steps a world step."""
+    reward_lag: int = 1
+    """Before episode n begins, the rewards of episodes up to n - 1 - lag are in the buffer."""
+    evaluate_every: int = 5_000
+    """World steps between evaluations; 0: only at the end."""
+    evaluate_episodes: int = 50
+    """Episodes an evaluation; 0: never evaluate."""
+    checkpoint_every: int = 5_000
+    """World steps between checkpoints; 0: only at the end."""
+
+    def __post_init__(self) -> None:
+        _check_positive(self, "steps", "worlds", "block_steps")
+        for name in (
+            "random_steps",
+            "train_ratio",
+            "reward_lag",
+            "evaluate_every",
+            "evaluate_episodes",
+            "checkpoint_every",
+        ):
+            if getattr(self, name) < 0:
+                raise RaplError(f"{name} is {getattr(self, name)}, expected 0 or more")
+
+
+def config_differences(mine: object, other: object) -> list[str]:
+    """Return ``name: mine != other`` for each field in which two configs of a kind differ."""
+    return [
+        f"{field.name}: {getattr(mine, field.name)} != {getattr(other, field.name)}"
+        for field in fields(mine)  # type: ignore[arg-type]
+        if getattr(mine, field.name) != getattr(other, field.name)
+    ]
+
+
+def _check_positive(config: object, *names: str) -> None:
+    for name in names:
+        if not getattr(config, name) > 0:
+            raise RaplError(f"{name} is {getattr(config, name)}, expected more than 0")
