@@ -46,12 +46,19 @@ class Backbone(nn.Module):
     """A frozen network that gives feature maps at chosen stages."""
 
     def __init__(
-        self, spec: BackboneSpec, network: Any, stages: tuple[Stage, ...], digest: str
+        self,
+        spec: BackboneSpec,
+        network: Any,
+        stages: tuple[Stage, ...],
+        digest: str,
+        weights_file: str = "",
     ) -> None:
         super().__init__()
         self.spec = spec
         self.stages = stages
         self.weights_sha256 = digest
+        self.weights_file = weights_file
+        """Where the weights were given; empty for the default place."""
         self.network: Any = network.eval().requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)
         reductions = [int(info["reduction"]) for info in network.feature_info]
@@ -105,7 +112,8 @@ def load_backbone(
     check_trained(network.state_dict(), source)
     digest = tensors_sha256(network.state_dict())
     network.reset_classifier(0, "")
-    return Backbone(spec, network, stages, digest)
+    given = str(path.resolve()) if weights is not None else ""
+    return Backbone(spec, network, stages, digest, given)
 
 
 def backbone_names() -> list[str]:

@@ -1,0 +1,99 @@
+"""What a saved encoder says about itself."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, get_args
+
+import torch
+
+from rapl_core.errors import CorruptFileError, RaplError, ShapeError, UnknownNameError
+from rapl_core.representations.extractor import FeatureRecipe
+from rapl_core.representations.pooling import Pooling
+from rapl_core.representations.preprocessing import Preprocessing
+from rapl_core.representations.weights import tensors_sha256
+from rapl_core.transport import TransportConfig
+
+RewardKind = Literal["ot", "scalar"]
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class EncoderCard:
+    """Everything about an encoder but its tensors."""
+
+    method: str
+    """rapl, rlhf, imagenet, ..."""
+    preset: str
+    backbone: str
+    backbone_sha256: str
+    """Of the backbone's tensors, which are not copied into a checkpoint."""
+    recipe: FeatureRecipe
+    preprocessing: Preprocessing
+    features: int
+    """F, what the extractor gives."""
+    components: int | None
+    """Principal components kept; None: all features, standardised."""
+    has_projection: bool
+    has_head: bool
+    dimension: int
+    """D of the embedding."""
+    reward_kind: RewardKind
+    """``ot``: optimal transport to the experts. ``scalar``: the embedding is the reward."""
+    transport: TransportConfig
+    reward_scale: float
+    expert_ids: tuple[str, ...]
+    data_sha256: str
+    """Of the triplets, experts and features that it was trained on; empty if on none."""
+    weights_file: str = field(default="", compare=False)
+    """Where the backbone's weights were, if not at their default place; a hint, no identity."""
+
+    def __post_init__(self) -> None:
+        if self.reward_kind not in get_args(RewardKind):
+            raise UnknownNameError("reward kind", self.reward_kind, get_args(RewardKind))
+        if not (math.isfinite(self.reward_scale) and self.reward_scale > 0):
+            raise ShapeError(f"reward scale is {self.reward_scale}, expected a number above 0")
+        if self.reward_kind == "scalar" and self.dimension != 1:
+            raise ShapeError(f"a scalar reward has dimension 1, got {self.dimension}")
+
+    def version(self, tensors: Mapping[str, torch.Tensor]) -> str:
+        """16 hex digits for the card and the encoder's own tensors."""
+        identity = {k: v for k, v in self.to_json().items() if k != "weights_file"}
+        text = json.dumps(identity, sort_keys=True) + tensors_sha256(tensors)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def to_json(self) -> dict[str, Any]:
+        """A JSON object of this card."""
+        return {"format": FORMAT, **asdict(self)}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any], source: str) -> "EncoderCard":
+        """Read a card back.
+
+        :param source: named in errors.
+        :raises CorruptFileError: for missing or unknown fields and values out of range.
+        """
+        fields = dict(content)
+        if (found := fields.pop("format", None)) != FORMAT:
+            raise CorruptFileError(f"{source} has format {found!r}, expected {FORMAT}")
+        try:
+            recipe, preprocessing = dict(fields["recipe"]), dict(fields["preprocessing"])
+            fields["recipe"] = FeatureRecipe(
+                stages=tuple(recipe.pop("stages")),
+                poolings=tuple(Pooling(**pooling) for pooling in recipe.pop("poolings")),
+                size=tuple(size) if (size := recipe.pop("size")) else None,
+                **recipe,
+            )
+            fields["preprocessing"] = Preprocessing(
+                mean=tuple(preprocessing.pop("mean")),
+                std=tuple(preprocessing.pop("std")),
+                **preprocessing,
+            )
+            fields["transport"] = TransportConfig(**fields["transport"])
+            fields["expert_ids"] = tuple(fields["expert_ids"])
+            return cls(**fields)
+        except (KeyError, TypeError, ValueError, RaplError) as error:
+            raise CorruptFileError(f"{source} is not the card of an encoder: {error}") from error

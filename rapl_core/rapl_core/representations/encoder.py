@@ -1,0 +1,120 @@
+"""An encoder: pictures in, embeddings and rewards out."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from rapl_core.errors import ShapeError, WeightsError
+from rapl_core.representations.card import EncoderCard
+from rapl_core.representations.extractor import FeatureExtractor
+from rapl_core.representations.heads import Embedder
+from rapl_core.transport import TransportConfig, ot_reward
+from rapl_core.types import EmbeddedEpisode, EncoderInfo, Episode, RewardTrace
+
+
+class Encoder:
+    """Preprocessing, frozen backbone, pooling, statistics and head, and a rule for rewards.
+
+    Immutable after creation; always computes in float32.
+    """
+
+    def __init__(self, extractor: FeatureExtractor, embedder: Embedder, card: EncoderCard) -> None:
+        """
+        :raises WeightsError: if the parts do not belong together or have NaN weights.
+        """
+        if card.backbone_sha256 != extractor.backbone.weights_sha256:
+            raise WeightsError(
+                f"encoder {card.method} was made with {card.backbone} weights "
+                f"{card.backbone_sha256[:12]}..., found "
+                f"{extractor.backbone.weights_sha256[:12]}... of {extractor.backbone.spec.name}"
+            )
+        for name, tensor in embedder.state_dict().items():
+            if not bool(torch.isfinite(tensor).all()):
+                raise WeightsError(f"encoder {card.method}: {name} has NaN or infinite values")
+        self.card = card
+        self.extractor = extractor.eval().requires_grad_(False)
+        self.embedder = embedder.eval().requires_grad_(False)
+        self._version = card.version(embedder.state_dict())
+
+    @property
+    def info(self) -> EncoderInfo:
+        """Name, version and sizes."""
+        return EncoderInfo(
+            name=self.card.method,
+            version=self._version,
+            backbone=self.card.backbone,
+            preset=self.card.preset,
+            dimension=self.card.dimension,
+            image_width=self.card.preprocessing.width,
+            image_height=self.card.preprocessing.height,
+            reward_scale=self.card.reward_scale,
+        )
+
+    @property
+    def transport(self) -> TransportConfig:
+        """How rewards of kind ``ot`` are computed."""
+        return self.card.transport
+
+    @property
+    def reward_kind(self) -> str:
+        """``ot`` or ``scalar``."""
+        return self.card.reward_kind
+
+    @property
+    def expert_ids(self) -> tuple[str, ...]:
+        """The preferred videos that it was made with."""
+        return self.card.expert_ids
+
+    def embed(self, frames: NDArray[Any], batch_size: int = 16) -> NDArray[np.float32]:
+        """Embed pictures of any one size.
+
+        :param frames: (N, H, W, 3) uint8 RGB.
+        :return: (N, D) float32.
+        :raises ShapeError: for frames of another shape or dtype.
+        """
+        features = self.extractor.extract(frames, "float32", batch_size)
+        return self.embed_features(features.numpy())
+
+    def embed_features(self, features: NDArray[Any]) -> NDArray[np.float32]:
+        """Embed what the extractor gave: (N, F) -> (N, D) float32."""
+        with torch.inference_mode():
+            z = self.embedder(torch.from_numpy(np.asarray(features, dtype=np.float32)))
+        return np.array(z.numpy(), dtype=np.float32)
+
+    def embed_episode(self, episode: Episode) -> EmbeddedEpisode:
+        """Embed frames 1..T of an episode: those arrived in by its transitions."""
+        return EmbeddedEpisode(episode.episode_id, self.embed(episode.frames[1:]))
+
+    def reward(self, z: NDArray[Any], experts: Sequence[EmbeddedEpisode]) -> RewardTrace:
+        """Reward of each frame of a video by this encoder's own rule and scale.
+
+        :param z: (T, D) embeddings of frames 1..T.
+        :param experts: D+ through this encoder; not used by a scalar reward.
+        :raises ShapeError: for embeddings of another width, NaN, or without experts.
+        """
+        return reward_of(self.card, z, experts)
+
+
+def reward_of(
+    card: EncoderCard, z: NDArray[Any], experts: Sequence[EmbeddedEpisode]
+) -> RewardTrace:
+    """Reward of each frame by a card's rule and scale; see :meth:`Encoder.reward`."""
+    z = np.asarray(z)
+    if z.ndim != 2 or z.shape[1] != card.dimension:
+        raise ShapeError(f"embedding has shape {z.shape}, expected (T, {card.dimension})")
+    if card.reward_kind == "ot":
+        return ot_reward(z, experts, card.transport, card.reward_scale)
+    if not np.all(np.isfinite(z)):
+        raise ShapeError(f"embedding has {int((~np.isfinite(z)).sum())} NaN or infinite values")
+    return RewardTrace(
+        values=card.reward_scale * z[:, 0].astype(np.float64),
+        expert_id="",
+        transport_cost=0.0,
+        converged=True,
+        iterations=0,
+        marginal_error=0.0,
+        scale=card.reward_scale,
+    )

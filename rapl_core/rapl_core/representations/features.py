@@ -1,0 +1,111 @@
+"""Features of a frozen backbone, computed once per video and kept on disk."""
+
+import hashlib
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from rapl_core.errors import ShapeError, UnknownNameError
+from rapl_core.representations.extractor import FeatureExtractor, Precision
+from rapl_core.types import Episode, check_episode_id
+
+_STORED = {"float16": np.float16, "float32": np.float32}
+
+
+class FeatureStore(Mapping[str, NDArray[np.float32]]):
+    """(T, F) features by episode id.
+
+    A video's features lie in ``folder/<extractor version>-<precision>-<dtype>/<hash of its
+    frames>.safetensors``, so that they are found again whatever the episode is called. Only
+    training reads them (float16 is off by 5e-4); what the robot is rewarded with is embedded from
+    the frames in float32.
+    """
+
+    def __init__(
+        self,
+        extractor: FeatureExtractor,
+        folder: Path | None = None,
+        precision: Precision = "float32",
+        dtype: Literal["float16", "float32"] = "float16",
+    ) -> None:
+        if dtype not in _STORED:
+            raise UnknownNameError("feature dtype", dtype, _STORED)
+        self.extractor = extractor
+        self.precision: Precision = precision
+        self.computed = 0
+        """Videos that went through the backbone; the others came from the cache."""
+        self._dtype = dtype
+        self._folder = folder and Path(folder) / f"{extractor.version}-{precision}-{dtype}"
+        self._features: dict[str, NDArray[Any]] = {}
+
+    def add(self, episode_id: str, frames: NDArray[np.uint8]) -> None:
+        """Compute or find the features of a video's (T, H, W, 3) frames.
+
+        :raises ShapeError: for frames of another shape or dtype, or features beyond the dtype.
+        """
+        check_episode_id(episode_id)
+        path = self._folder and self._folder / f"{_content_hash(frames)}.safetensors"
+        found = _read(path) if path else None
+        if found is None:
+            found = self._compute(episode_id, frames)
+            if path:
+                _write(path, found)
+        self._features[episode_id] = found
+
+    def add_episode(self, episode: Episode) -> None:
+        """Add frames 1..T of an episode: those arrived in by its transitions."""
+        self.add(episode.episode_id, episode.frames[1:])
+
+    def _compute(self, episode_id: str, frames: NDArray[np.uint8]) -> NDArray[Any]:
+        features = self.extractor.extract(frames, self.precision).numpy()
+        with np.errstate(over="ignore"):
+            stored = features.astype(_STORED[self._dtype])
+        if not np.all(np.isfinite(stored)):
+            raise ShapeError(
+                f"features of episode {episode_id} reach {np.abs(features).max():.3g}, "
+                f"more than {self._dtype} holds"
+            )
+        self.computed += 1
+        return stored
+
+    def __getitem__(self, episode_id: str) -> NDArray[np.float32]:
+        return self._features[episode_id].astype(np.float32)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._features)
+
+    def __len__(self) -> int:
+        return len(self._features)
+
+
+def _content_hash(frames: NDArray[np.uint8]) -> str:
+    digest = hashlib.sha256(repr((frames.shape, str(frames.dtype))).encode())
+    digest.update(np.ascontiguousarray(frames).data)
+    return digest.hexdigest()[:32]
+
+
+def _read(path: Path) -> NDArray[Any] | None:
+    """A cached file's features; None where there is none or it is damaged (a cache may be)."""
+    try:
+        return load_file(path)["features"]
+    except (FileNotFoundError, SafetensorError, KeyError):
+        return None
+
+
+def _write(path: Path, features: NDArray[Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(f".{os.getpid()}.partial")
+    save_file({"features": features}, beside)
+    beside.replace(path)
+
+
+def stack_frames(features: Mapping[str, NDArray[np.float32]]) -> torch.Tensor:
+    """All frames of all videos, (N, F)."""
+    return torch.from_numpy(np.concatenate([features[name] for name in features]))

@@ -1,0 +1,150 @@
+"""Recipes of alignment, by name: what the paper says, what its authors ran, what we found best.
+
+A recipe of one's own is ``dataclasses.replace(get_preset("tuned"), epochs=80)``.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from rapl_core.errors import ShapeError, UnknownNameError
+from rapl_core.representations.extractor import FeatureRecipe
+from rapl_core.representations.pooling import Pooling
+from rapl_core.transport import TransportConfig
+
+Likelihood = Literal["log", "linear"]
+Optimiser = Literal["adam", "adamw"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Features, loss and training of an alignment."""
+
+    name: str
+    recipe: FeatureRecipe
+    """What is read from the frozen backbone."""
+    has_projection: bool
+    """Standardise the features before the head."""
+    components: int | None
+    """And keep this many principal components (at most the features there are); None: all."""
+    training: TransportConfig
+    """The distance d of eq. representation_alignment_loss."""
+    reward: TransportConfig
+    """The reward of eq. ot_reward."""
+    dimension: int = 32
+    likelihood: Likelihood = "log"
+    """``log``: maximise log P. ``linear``: maximise P itself, as the paper's
+    eq. representation_optimization is printed."""
+    temperature: float = 1.0
+    """Divides all distances in the loss; cosine distances, at most 2, saturate P at 0.88."""
+    tie_weight: float = 0.0
+    """Of (1/2 - P)^2 for videos that were ranked equal."""
+    expert_weight: float = 0.0
+    """Of a Bradley-Terry term over all three pairs whose score is minus the distance to expert
+    videos."""
+    experts_per_batch: int = 3
+    longest_cut: float = 0.0
+    """In training, drop a random share of up to this of the start of all videos of a batch."""
+    frames: int | None = None
+    """Training sees each video at this many frames, evenly spread; None: all frames (of the
+    shortest video, if they differ in length)."""
+    optimiser: Optimiser = "adam"
+    learning_rate: float = 1e-3
+    weight_decay: float = 0.0
+    batch_size: int = 10
+    epochs: int = 100
+    held_out: float = 0.2
+    """Share of the triplets that choose the best epoch."""
+    disjoint_videos: bool = False
+    """Drop from training every triplet that shares a video with a held-out one. Triplets of one
+    pool share many videos, so this costs most of the data; see ``split.py``."""
+    patience: int | None = None
+    """Stop after this many epochs without a better held-out loss; None: run all epochs."""
+
+    def __post_init__(self) -> None:
+        for kind, name, known in (
+            ("likelihood", self.likelihood, get_args(Likelihood)),
+            ("optimiser", self.optimiser, get_args(Optimiser)),
+        ):
+            if name not in known:
+                raise UnknownNameError(kind, name, known)
+        for field, lowest in (
+            ("dimension", 1), ("temperature", 1e-6), ("tie_weight", 0), ("expert_weight", 0),
+            ("experts_per_batch", 1), ("learning_rate", 1e-12), ("weight_decay", 0),
+            ("batch_size", 1), ("epochs", 1),
+        ):  # fmt: skip
+            if not getattr(self, field) >= lowest:
+                raise ShapeError(
+                    f"preset {self.name}: {field} is {getattr(self, field)}, "
+                    f"expected at least {lowest}"
+                )
+        for field in ("longest_cut", "held_out"):
+            if not 0 <= getattr(self, field) < 1:
+                raise ShapeError(
+                    f"preset {self.name}: {field} is {getattr(self, field)}, expected 0 <= . < 1"
+                )
+
+
+PAPER = Preset(
+    name="paper",
+    recipe=FeatureRecipe(),
+    has_projection=False,
+    components=None,
+    # The paper names neither epsilon nor the training's settings: epsilon is ours, the settings
+    # are those of its authors' code.
+    training=TransportConfig(
+        cost="cosine", solver="sinkhorn", epsilon=0.05, tolerance=1e-3, max_iterations=100
+    ),
+    reward=TransportConfig(cost="cosine", solver="sinkhorn", epsilon=0.05),
+)
+
+AUTHORS_CODE = Preset(
+    name="authors_code",
+    recipe=FeatureRecipe(),
+    has_projection=False,
+    components=None,
+    training=TransportConfig(
+        cost="cosine", solver="sinkhorn", epsilon=1.0, tolerance=1e-3, max_iterations=100
+    ),
+    reward=TransportConfig(cost="cosine", solver="sinkhorn", epsilon=1.0),
+    likelihood="linear",
+    tie_weight=1.0,
+    frames=45,
+)
+
+_UNIFORM = TransportConfig(cost="euclidean", solver="uniform", expert="mean")
+
+# Departs from the paper: Euclidean cost, epsilon infinite, a term anchored at expert videos, a grid
+# of features with principal components, random cuts, and the mean over all experts.
+TUNED = Preset(
+    name="tuned",
+    recipe=FeatureRecipe(stages=("stride16",), poolings=(Pooling("grid", grid=4),)),
+    has_projection=True,
+    components=256,
+    training=_UNIFORM,
+    reward=_UNIFORM,
+    expert_weight=1.0,
+    longest_cut=0.8,
+    optimiser="adamw",
+    learning_rate=3e-3,
+    weight_decay=1e-3,
+    batch_size=16,
+    epochs=40,
+    held_out=0.15,
+)
+
+_PRESETS = {preset.name: preset for preset in (PAPER, AUTHORS_CODE, TUNED)}
+
+
+def preset_names() -> list[str]:
+    """The named presets."""
+    return sorted(_PRESETS)
+
+
+def get_preset(name: str) -> Preset:
+    """A preset by name.
+
+    :raises UnknownNameError: naming the known ones.
+    """
+    if name not in _PRESETS:
+        raise UnknownNameError("preset", name, _PRESETS)
+    return _PRESETS[name]
