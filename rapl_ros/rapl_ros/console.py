@@ -4,30 +4,13 @@ import math
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TextIO
+
+from rapl_ros.progress import StageProgress
 
 BAR = 20
 PLAIN_PERIOD_S = 15.0
 """Seconds between two lines of a stage where the output is a file or a pipe."""
-
-
-@dataclass(frozen=True)
-class StageProgress:
-    """How far a stage is: the fields of ``rapl_msgs/Progress``."""
-
-    stage: str
-    index: int
-    stages: int
-    status: str
-    """waiting | running | done | failed."""
-    done: int
-    total: int
-    unit: str
-    rate_hz: float
-    remaining_s: float
-    """NaN when unknown."""
-    detail: str = ""
 
 
 class Console:

@@ -1,0 +1,82 @@
+"""The one table of the nodes: run_all's supervisor and the launch files both read it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from rapl_ros.run_config import RunConfig
+from rapl_ros.supervisor import ProcessSpec
+
+NAMESPACE = "/rapl"
+
+ParameterValue = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class NodeEntry:
+    """One node of the graph; each has a process of its own."""
+
+    name: str
+    module: str
+    """Run as ``python -m``."""
+    parameters: tuple[str, ...] = ()
+    """Which of the run's parameters it takes, see :func:`run_parameters`."""
+    imports_torch: bool = False
+    """Takes 300 to 600 MiB rather than 65."""
+    ends: bool = False
+    """Exits with 0 when its work is done."""
+
+
+NODES: tuple[NodeEntry, ...] = (
+    NodeEntry("simulator", "rapl_ros.simulator_node", ("task", "worlds", "clock_file")),
+    NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder",), imports_torch=True),
+    NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source",)),
+    NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",)),
+    NodeEntry("preference", "rapl_ros.preference_node", ("run_folder",), imports_torch=True),
+    NodeEntry("simulated_human", "rapl_ros.simulated_human_node", ("run_folder", "seed")),
+    NodeEntry("demonstrator", "rapl_ros.demonstrator_node", ("task",)),
+    NodeEntry("learner", "rapl_ros.learner_node", ("run_folder", "task"), imports_torch=True),
+    NodeEntry("conductor", "rapl_ros.conductor_node", ("run_folder",), ends=True),
+)
+
+
+def run_parameters(config: RunConfig, folder: Path) -> dict[str, ParameterValue]:
+    """Return what a run says to its nodes; each takes what its entry names."""
+    return {
+        "task": config.task,
+        "worlds": config.worlds,
+        "seed": config.seed,
+        "run_folder": str(folder.resolve()),
+        "clock_file": str((folder / "clock_ns").resolve()),
+        "source": "human_reward" if config.reward == "ground_truth" else "embedding",
+    }
+
+
+def parameters_of(
+    entry: NodeEntry, values: Mapping[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """Return the parameters of one node."""
+    return {name: values[name] for name in entry.parameters}
+
+
+def process_specs(config: RunConfig, folder: Path) -> list[ProcessSpec]:
+    """Return the processes of a run."""
+    values = run_parameters(config, folder)
+    return [
+        ProcessSpec(
+            entry.name, entry.module, ros_arguments(parameters_of(entry, values)), ends=entry.ends
+        )
+        for entry in NODES
+    ]
+
+
+def ros_arguments(parameters: Mapping[str, ParameterValue]) -> tuple[str, ...]:
+    """Return the command line that sets parameters of a node."""
+    words = ["--ros-args"]
+    for name, value in parameters.items():
+        # YAML, as ROS reads it: a task called ``true`` stays a string.
+        text = yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None)
+        words += ["-p", f"{name}:={text.removesuffix(chr(10)).removesuffix('...').strip()}"]
+    return tuple(words)
