@@ -29,7 +29,8 @@ class ArmKinematics:
         self._home = home
         self._jac_position = np.zeros((3, model.nv))
         self._jac_rotation = np.zeros((3, model.nv))
-        self._down = np.diag([1.0, -1.0, -1.0])
+        # the fingers stand side by side across the direction of pushing, like a fork
+        self._down = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
     def step(
         self, angles: NDArray[np.float64], target: NDArray[np.float64], gain: float = 1.0
@@ -40,9 +41,7 @@ class ArmKinematics:
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_comPos(self._model, data)
         rotation = data.site_xmat[self._site].reshape(3, 3)
-        mujoco.mj_jacSite(
-            self._model, data, self._jac_position, self._jac_rotation, self._site
-        )
+        mujoco.mj_jacSite(self._model, data, self._jac_position, self._jac_rotation, self._site)
         jacobian = np.vstack([self._jac_position[:, self._dof], self._jac_rotation[:, self._dof]])
         turn = self._down @ rotation.T
         error = np.empty(6)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-CACHE_FORMAT = 1
+CACHE_FORMAT = 2
 
 
 def cache_folder() -> Path:
@@ -85,8 +85,11 @@ def _decimated(
     if path.is_file():
         with np.load(path) as kept:
             return kept["vertices"], kept["faces"]
+    # files split vertices by normal and texture: weld them, or the surface falls apart
+    welded, place = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
+    faces = place.reshape(-1)[faces].astype(np.int32)
     vertices, faces = fast_simplification.simplify(
-        vertices, faces, target_reduction=1 - target / len(faces), agg=7
+        welded, faces, target_reduction=max(0.0, 1 - target / len(faces)), agg=4
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:

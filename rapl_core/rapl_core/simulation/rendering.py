@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rapl_core.errors import RaplError
 
 
-
 class Renderer:
     """Draws worlds of one model. One a process, used by the thread that made it (mujoco#3444).
 

@@ -37,7 +37,7 @@ ROBOTS = {
         gripper_file="grippers/panda_gripper.xml",
         flange="right_hand",
         arm_joints=tuple(f"joint{i}" for i in range(1, 8)),
-        home=(0.0, np.pi / 16, 0.0, -np.pi / 2 - np.pi / 3, 0.0, np.pi - 0.2, np.pi / 4),
+        home=(0.0, np.pi / 16, 0.0, -np.pi / 2 - np.pi / 3, 0.0, np.pi - 0.2, -np.pi / 4),
         stiffness=(600, 600, 600, 600, 250, 150, 50),
         damping=(50, 50, 50, 50, 30, 25, 15),
     ),

@@ -52,11 +52,11 @@ class TabletopConfig:
     gripper_height: float = 0.03
     gripper_area: tuple[float, float, float, float] = (-0.22, 0.32, -0.25, 0.25)
     """x and y limits of the gripper."""
-    finger_opening: float = 0.02
-    """m a finger: a fork 4 cm wide, from which a cube does not roll off."""
-    camera_position: tuple[float, float, float] = (0.72, 0.0, 0.75)
-    camera_target: tuple[float, float, float] = (0.06, 0.0, 0.0)
-    camera_fovy_deg: float = 35.0
+    finger_opening: float = 0.03
+    """m a finger: a fork 6 cm wide, from which a cube does not roll off."""
+    camera_position: tuple[float, float, float] = (0.85, 0.0, 0.70)
+    camera_target: tuple[float, float, float] = (0.055, 0.0, 0.0)
+    camera_fovy_deg: float = 33.0
     visual_triangles: int = 2500
     """For the whole robot; measured in docs as the point where the arm still looks like itself."""
 
@@ -231,8 +231,7 @@ class TabletopDynamics:
         self._servos = np.array([model.actuator(j).id for j in names])
         self._site = model.site(SITE).id
         self._cubes = [
-            int(model.joint(f"cube{i + 1}").qposadr[0])
-            for i in range(len(task.config.cube_colors))
+            int(model.joint(f"cube{i + 1}").qposadr[0]) for i in range(len(task.config.cube_colors))
         ]
         opening = task.config.finger_opening
         self._fingers = np.array([opening, -opening])

@@ -1,0 +1,102 @@
+"""A scripted robot: one behaviour in one episode, with noise."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rapl_core.demonstrators.behaviours import BEHAVIOURS, Behaviour
+from rapl_core.demonstrators.phases import PhaseFollower
+from rapl_core.demonstrators.pushing import Pusher
+from rapl_core.errors import UnknownNameError
+from rapl_core.tasks.base import Task
+from rapl_core.tasks.tabletop import TabletopGroup
+
+SMOOTHNESS = 0.8
+"""Share of the wander that stays from one step to the next."""
+
+
+class Demonstrator:
+    """Acts one behaviour through one episode.
+
+    :param noise: standard deviation of independent noise added to each action.
+    """
+
+    def __init__(
+        self, task: TabletopGroup, behaviour: Behaviour, rng: np.random.Generator, noise: float
+    ) -> None:
+        self.behaviour = behaviour.name
+        self._task = task
+        self._plan = behaviour.plan
+        self._wander = behaviour.wander
+        self._noise = noise
+        self._rng = rng
+        self._drift = np.zeros(2)
+        self._follower: PhaseFollower | None = None
+
+    def act(self, state: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+        """Return the action (A,) in [-1, 1] at a state (S,).
+
+        :param step: step of the episode; 0 makes a new plan from the state.
+        """
+        if step == 0 or self._follower is None:
+            config = self._task.config
+            phases = self._plan(Pusher(config, self._rng), state)
+            self._follower = PhaseFollower(phases, config.speed, (7, 8))
+            self._drift = np.zeros(2)
+        action = self._follower.act(state)
+        if self._wander:
+            kick = np.sqrt(1 - SMOOTHNESS**2) * self._rng.normal(size=2)
+            self._drift = SMOOTHNESS * self._drift + kick
+            action = action + self._wander * self._drift
+        if self._noise:
+            action = action + self._noise * self._rng.normal(size=2)
+        return np.clip(action, -1.0, 1.0)
+
+
+def behaviours_of(task: Task) -> dict[str, Behaviour]:
+    """Return the behaviours that a task has, by name.
+
+    :raises UnknownNameError: if nobody has scripted the task.
+    """
+    if not isinstance(task, TabletopGroup):
+        raise UnknownNameError("scripted task", task.name, ["franka_group"])
+    return {behaviour.name: behaviour for behaviour in BEHAVIOURS}
+
+
+def behaviour_names(task: Task) -> list[str]:
+    """Return the names of a task's behaviours."""
+    return list(behaviours_of(task))
+
+
+def make_demonstrator(
+    task: Task, behaviour: str, rng: np.random.Generator, noise: float = 0.0
+) -> Demonstrator:
+    """Return a demonstrator for one episode.
+
+    :raises UnknownNameError: if the task has no such behaviour.
+    """
+    known = behaviours_of(task)
+    if behaviour not in known:
+        raise UnknownNameError("behaviour", behaviour, known)
+    assert isinstance(task, TabletopGroup)
+    return Demonstrator(task, known[behaviour], rng, noise)
+
+
+def draw_behaviours(
+    task: Task, episodes: int, rng: np.random.Generator, only: tuple[str, ...] = ()
+) -> list[str]:
+    """Return which behaviour each of ``episodes`` shows, in proportion to their shares.
+
+    :param only: names to draw from; empty for all.
+    """
+    known = behaviours_of(task)
+    names = list(only) or list(known)
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("behaviour", name, known)
+    shares = np.array([known[name].share for name in names])
+    exact = shares / shares.sum() * episodes
+    counts = np.floor(exact).astype(int)
+    for index in np.argsort(counts - exact)[: episodes - counts.sum()]:
+        counts[index] += 1
+    drawn = [name for name, count in zip(names, counts, strict=True) for _ in range(count)]
+    return [drawn[i] for i in rng.permutation(len(drawn))]

@@ -1,0 +1,51 @@
+"""A scripted behaviour as a sequence of phases: where the gripper goes, and until when."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+State = NDArray[np.float64]
+Point = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Go where ``target`` says, until ``done`` says so or ``patience`` steps have passed."""
+
+    target: Callable[[State], Point]
+    """state (S,) -> point of the table (2,) in m."""
+    done: Callable[[State], bool]
+    patience: int = 25
+    pace: float = 1.0
+    """Share of full speed."""
+
+
+class PhaseFollower:
+    """Follows phases one after the other and then holds still.
+
+    :param phases: in order.
+    :param reach: m that an action of 1 moves the gripper.
+    :param position: indices of the gripper's x and y in the state.
+    """
+
+    def __init__(self, phases: Sequence[Phase], reach: float, position: tuple[int, int]) -> None:
+        self._phases = list(phases)
+        self._reach = reach
+        self._position = list(position)
+        self._index = 0
+        self._spent = 0
+
+    def act(self, state: State) -> NDArray[np.float64]:
+        """Return the action (2,) in [-1, 1] at a state (S,)."""
+        while self._index < len(self._phases):
+            phase = self._phases[self._index]
+            if self._spent < phase.patience and not phase.done(state):
+                self._spent += 1
+                move = (phase.target(state) - state[self._position]) / self._reach
+                largest = max(1.0, float(np.abs(move).max()))
+                return np.asarray(phase.pace * move / largest, dtype=np.float64)
+            self._index += 1
+            self._spent = 0
+        return np.zeros(2)
