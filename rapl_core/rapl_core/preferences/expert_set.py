@@ -11,6 +11,7 @@ from rapl_core.types import Ranking
 
 _NEWTON_STEPS = 50
 _TOLERANCE = 1e-10
+_ROUNDING = 1e-13
 
 
 def strengths(rankings: Iterable[Ranking], prior_deviation: float = 1.0) -> dict[str, float]:
@@ -88,7 +89,7 @@ def _maximise(wins: NDArray[np.float64], precision: float) -> NDArray[np.float64
         while length > 1e-8:
             candidate = s + length * step
             reached = _log_posterior(candidate, wins, precision)
-            if reached >= value:
+            if reached >= value - _ROUNDING * (1 + abs(value)):
                 break
             length /= 2
         s, value = candidate, reached
