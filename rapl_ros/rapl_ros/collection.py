@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from rapl_core.demonstrators import (
     Demonstrator,
     behaviour_names,
@@ -17,7 +18,6 @@ from rapl_core.demonstrators.collecting import NOISES
 from rapl_core.errors import RaplError, UnknownNameError
 from rapl_core.simulation.simulation import STREAMS
 from rapl_core.tasks.base import Task
-
 from rapl_ros.conversions import answer
 from rapl_ros.wire import Command, Instant
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from rapl_core.errors import RaplError, ShapeError
-from rapl_core.tasks import get_task
 from rapl_msgs.action import Collect
 from rapl_msgs.msg import Action, EpisodeInfo, State, WorldInfo
 from rapl_msgs.srv import Reset
@@ -15,6 +13,8 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 
+from rapl_core.errors import RaplError, ShapeError
+from rapl_core.tasks import get_task
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import wakeable_future
 from rapl_ros.collection import Batch, Collection, CollectionGoal

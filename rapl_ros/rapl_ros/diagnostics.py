@@ -86,4 +86,3 @@ class Diagnostics:
             else:
                 logger.warning(f"{key}: {message}")
             self.publish()
-

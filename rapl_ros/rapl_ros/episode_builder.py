@@ -7,10 +7,10 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
 from rapl_core.episodes.joints import JointTrack
 from rapl_core.errors import ShapeError
 from rapl_core.types import Episode
-
 from rapl_ros.wire import Command, Instant, JoinKey
 
 Key = TypeVar("Key")

@@ -183,9 +183,7 @@ class Lockstep:
                     snapshot = self._simulation.step(world.index, action.values)
                 yield self._show(world, assignment, snapshot, stamp_ns)
 
-    def _begin(
-        self, world: _World, assignment: Assignment, number: int, stamp_ns: int
-    ) -> Scene:
+    def _begin(self, world: _World, assignment: Assignment, number: int, stamp_ns: int) -> Scene:
         world.assignment, world.number, world.action = assignment, number, None
         rng = episode_rng(assignment.seed, assignment.purpose, world.index, number)
         with self._shares.of("physics"):
@@ -219,4 +217,3 @@ class Lockstep:
             picture=picture,
         )
         return world.scene
-

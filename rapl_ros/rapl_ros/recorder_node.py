@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from rapl_core.episodes.store import EpisodeStore
-from rapl_core.errors import RaplError, ShapeError
 from rapl_msgs.msg import Action, EpisodeInfo, State, WorldInfo
 from rclpy.task import Future
 from sensor_msgs.msg import CompressedImage, Image, JointState
 
+from rapl_core.episodes.store import EpisodeStore
+from rapl_core.errors import RaplError, ShapeError
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import QueueFullError, Worker
 from rapl_ros.episode_builder import EpisodeBuilder, Joints, LostEpisode, Outcome, Recording

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rapl_core.errors import RaplError, ShapeError
-from rapl_core.simulation.simulation import Simulation
-from rapl_core.tasks import get_task
 from rapl_msgs.msg import Action, State, WorldInfo
 from rapl_msgs.srv import Reset
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
+from rapl_core.errors import RaplError, ShapeError
+from rapl_core.simulation.simulation import Simulation
+from rapl_core.tasks import get_task
 from rapl_ros import conversions, qos, topics
 from rapl_ros.lockstep import Assignment, Lockstep, Scene
 from rapl_ros.node import RaplNode, main
