@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
+from rapl_core.analysis import provenance
 from rapl_ros.run_config import RunConfig
 from rapl_ros.supervisor import ProcessSpec
 
@@ -26,7 +28,7 @@ class NodeEntry:
     imports_torch: bool = False
     """Takes 300 to 600 MiB rather than 65."""
     ends: bool = False
-    """Exits with 0 when its work is done."""
+    """Exits when its work is done."""
 
 
 NODES: tuple[NodeEntry, ...] = (
@@ -80,3 +82,17 @@ def ros_arguments(parameters: Mapping[str, ParameterValue]) -> tuple[str, ...]:
         text = yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None)
         words += ["-p", f"{name}:={text.removesuffix(chr(10)).removesuffix('...').strip()}"]
     return tuple(words)
+
+
+def resolved_parameters(
+    config: RunConfig, folder: Path, environment: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return what config.yaml tells its reader beside the settings of the run."""
+    values = run_parameters(config, folder)
+    return {
+        "nodes": {entry.name: parameters_of(entry, values) for entry in NODES},
+        "environment": dict(environment),
+        "versions": provenance.versions(),
+        "commit": provenance.commit(),
+        "machine": provenance.machine(),
+    }

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rapl_core.errors import RaplError, UnknownNameError
-
 from rapl_ros.run_config import CONFIG_FILE, RESULTS_FILE, RunConfig, load_config
 
 REWARDS = {
@@ -68,26 +67,36 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         "--reward", default=None, metavar="NAME", help=f"{' | '.join(REWARDS)} (rapl)"
     )
     parser.add_argument(
-        "--encoder", default=None, metavar="NAME",
+        "--encoder",
+        default=None,
+        metavar="NAME",
         help="encoder that embeds the pictures (the one that --reward implies)",
     )
     parser.add_argument(
         "--preset", default=None, metavar="NAME", help=f"{' | '.join(PRESETS)} (tuned)"
     )
     parser.add_argument(
-        "--triplets", type=_whole(1), metavar="N",
+        "--triplets",
+        type=_whole(1),
+        metavar="N",
         help=f"rankings of three videos ({default.triplets})",
     )
     parser.add_argument(
-        "--episodes", type=_whole(12), metavar="N",
+        "--episodes",
+        type=_whole(12),
+        metavar="N",
         help=f"videos to collect and rank ({default.pool_episodes})",
     )
     parser.add_argument(
-        "--steps", type=_whole(1), metavar="N",
+        "--steps",
+        type=_whole(1),
+        metavar="N",
         help=f"world steps of learning ({default.steps})",
     )
     parser.add_argument(
-        "--worlds", type=_whole(1, 16), metavar="N",
+        "--worlds",
+        type=_whole(1, 16),
+        metavar="N",
         help=f"worlds simulated side by side ({default.worlds})",
     )
     parser.add_argument("--seed", type=_whole(0), metavar="N", help="of everything random (0)")
@@ -95,15 +104,21 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         "--out", type=Path, metavar="FOLDER", help="run folder (runs/TASK/REWARD-PRESET-seedN)"
     )
     parser.add_argument(
-        "--resume", nargs="?", const="", default=None, metavar="FOLDER",
+        "--resume",
+        nargs="?",
+        const="",
+        default=None,
+        metavar="FOLDER",
         help="go on with this run, or with the task's newest unfinished one",
     )
     parser.add_argument(
-        "--quick", action="store_true",
+        "--quick",
+        action="store_true",
         help="every stage in miniature, within five minutes: shows that it works, not how well",
     )
     parser.add_argument(
-        "--keep-running", action="store_true",
+        "--keep-running",
+        action="store_true",
         help="leave the graph running after the last stage, until Ctrl-C",
     )
     return parser

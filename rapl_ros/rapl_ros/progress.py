@@ -56,16 +56,32 @@ class ProgressMeter:
         rate_hz = made / spent_s if made > 0 and spent_s > 0 else 0.0
         remaining_s = max(0, total - done) / rate_hz if rate_hz > 0 else math.nan
         self._last = StageProgress(
-            self._stage, self._index, self._stages, "running", done, total, unit, rate_hz,
-            remaining_s, detail,
+            self._stage,
+            self._index,
+            self._stages,
+            "running",
+            done,
+            total,
+            unit,
+            rate_hz,
+            remaining_s,
+            detail,
         )
         return self._last
 
     def waiting(self, detail: str) -> StageProgress:
         """Return that the stage waits, and for what."""
         return StageProgress(
-            self._stage, self._index, self._stages, "waiting", self._last.done, self._last.total,
-            self._last.unit, 0.0, math.nan, detail,
+            self._stage,
+            self._index,
+            self._stages,
+            "waiting",
+            self._last.done,
+            self._last.total,
+            self._last.unit,
+            0.0,
+            math.nan,
+            detail,
         )
 
     def ended(self, status: StageStatus, detail: str = "") -> StageProgress:
@@ -73,6 +89,14 @@ class ProgressMeter:
         last = self._last
         done = last.total if status == "done" else last.done
         return StageProgress(
-            self._stage, self._index, self._stages, status, done, last.total, last.unit,
-            last.rate_hz, 0.0 if status == "done" else math.nan, detail,
+            self._stage,
+            self._index,
+            self._stages,
+            status,
+            done,
+            last.total,
+            last.unit,
+            last.rate_hz,
+            0.0 if status == "done" else math.nan,
+            detail,
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+
 from rapl_core.errors import CorruptFileError, RaplError
 
 CONFIG_FILE = "config.yaml"

@@ -34,7 +34,7 @@ class ProcessSpec:
     environment: Mapping[str, str] = field(default_factory=dict)
     restarts: int = RESTART_LIMIT
     ends: bool = False
-    """True for a process that exits with 0 when its work is done."""
+    """True for a process that exits when its work is done; only a signal's victim is restarted."""
 
 
 @dataclass
@@ -42,7 +42,7 @@ class _Running:
     spec: ProcessSpec
     process: subprocess.Popen[bytes]
     restarted_at: list[float]
-    finished: bool = False
+    exit_code: int | None = None
 
 
 class Supervisor:
@@ -85,9 +85,9 @@ class Supervisor:
             if running.process.poll() is None
         }
 
-    def finished(self, name: str) -> bool:
-        """Return whether ``name``, a process that ends, has exited with 0."""
-        return self._running[name].finished
+    def exit_code(self, name: str) -> int | None:
+        """Return with what ``name``, a process that ends, has exited; None while it has not."""
+        return self._running[name].exit_code
 
     def poll(self) -> None:
         """Restart what died.
@@ -97,10 +97,10 @@ class Supervisor:
         """
         for running in self._running.values():
             code = running.process.poll()
-            if code is None or running.finished:
+            if code is None or running.exit_code is not None:
                 continue
-            if running.spec.ends and code == 0:
-                running.finished = True
+            if running.spec.ends and code >= 0:
+                running.exit_code = code
                 continue
             self._restart(running, code)
 
@@ -131,7 +131,9 @@ class Supervisor:
         running.restarted_at = [t for t in running.restarted_at if now - t < RESTART_MEMORY_S]
         name, how = running.spec.name, describe_exit(code)
         if len(running.restarted_at) >= running.spec.restarts:
-            times = f" for the {len(running.restarted_at) + 1}. time" if running.restarted_at else ""
+            times = (
+                f" for the {len(running.restarted_at) + 1}. time" if running.restarted_at else ""
+            )
             raise ProcessFailedError(
                 f"{name} {how}{times}; its log: {self.log_path(name)}{self._last_lines(name)}"
             )
@@ -149,7 +151,11 @@ class Supervisor:
 
     def _spawn(self, spec: ProcessSpec) -> subprocess.Popen[bytes]:
         command = [
-            sys.executable, "-m", "rapl_ros.tethered", str(os.getpid()), spec.module,
+            sys.executable,
+            "-m",
+            "rapl_ros.tethered",
+            str(os.getpid()),
+            spec.module,
             *spec.arguments,
         ]
         with self.log_path(spec.name).open("ab") as log:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from rapl_core.errors import CorruptFileError, RaplError
 from rapl_ros.options import RunRequest, listing, parse
 from rapl_ros.run_config import RunConfig, check_writable, load_config, save_config
@@ -93,9 +94,7 @@ def test_a_resumed_run_keeps_its_settings(
     assert "started with seed 7" in refusal(
         capsys, tmp_path, "franka_group", "--resume", "--seed", "8"
     )
-    assert "holds a run already" in refusal(
-        capsys, tmp_path, "franka_group", "--out", str(folder)
-    )
+    assert "holds a run already" in refusal(capsys, tmp_path, "franka_group", "--out", str(folder))
 
 
 def test_config_survives_the_disk_and_a_broken_one_is_named(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+
 from rapl_ros.supervisor import ProcessFailedError, ProcessSpec, Supervisor, describe_exit
 
 MODULES = {
@@ -107,18 +108,26 @@ def test_a_process_that_dies_too_often_ends_the_run_with_its_last_words(
     assert len(said) == 2
 
 
-def test_a_process_that_ends_well_is_not_restarted(
+def test_a_process_whose_work_ends_is_not_restarted_but_one_that_is_killed_is(
     supervise: Callable[..., Supervisor], said: list[str]
 ) -> None:
-    supervisor = supervise(spec("brief", ends=True))
+    supervisor = supervise(
+        spec("brief", ends=True), spec("faulty", ends=True), spec("sleeper", ends=True)
+    )
+    assert supervisor.exit_code("sleeper") is None
 
-    def finished() -> bool:
+    def ended() -> bool:
         supervisor.poll()
-        return supervisor.finished("brief")
+        return None not in (supervisor.exit_code("brief"), supervisor.exit_code("faulty"))
 
-    wait_for(finished)
+    wait_for(ended)
     supervisor.poll()
+    assert (supervisor.exit_code("brief"), supervisor.exit_code("faulty")) == (0, 1)
     assert said == []
+    os.kill(supervisor.pids()["sleeper"], signal.SIGKILL)
+    wait_for(lambda: bool(supervisor.poll() or said))
+    assert supervisor.exit_code("sleeper") is None
+    assert "sleeper" in supervisor.pids()
 
 
 def test_a_process_that_should_not_end_is_restarted_even_after_exit_code_0(
@@ -171,7 +180,9 @@ def test_children_die_with_a_supervisor_that_is_killed(
     )
     parent = subprocess.Popen(
         [sys.executable, "-c", script],
-        stdout=subprocess.PIPE, text=True, env={**os.environ, **environment},
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
     )
     try:
         assert parent.stdout is not None

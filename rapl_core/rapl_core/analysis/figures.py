@@ -98,8 +98,14 @@ def success_figure(curves: Sequence[NamedCurve], title: str = "") -> str:
         axes = figure.subplots()
         for curve, colour in zip(curves, [BLUE, GREY, ORANGE, GREEN], strict=False):
             axes.plot(
-                curve.steps, 100 * curve.success, "--o" if curve.dashed else "-o",
-                color=colour, lw=1.8, ms=4, label=curve.label, clip_on=False,
+                curve.steps,
+                100 * curve.success,
+                "--o" if curve.dashed else "-o",
+                color=colour,
+                lw=1.8,
+                ms=4,
+                label=curve.label,
+                clip_on=False,
             )
         axes.set(xlabel="world steps", ylabel="success (%)", ylim=(0, 100), title=title)
         axes.set_xlim(left=0)
@@ -125,8 +131,10 @@ def bars_figure(
         known = [(r, s) for r, s in zip(rows, strengths, strict=True) if s is not None]
         if known:
             right.barh(
-                [r for r, _ in known], [s for _, s in known],
-                color=[GREEN if s >= 0 else ORANGE for _, s in known], height=0.7,
+                [r for r, _ in known],
+                [s for _, s in known],
+                color=[GREEN if s >= 0 else ORANGE for _, s in known],
+                height=0.7,
             )
         right.axvline(0, color=INK, lw=0.8)
         right.set(xlabel="preference, mean over its ranked videos")

@@ -74,9 +74,7 @@ def concordance(rewards: Traces, human: Traces, gap: float = FRAME_GAP_M) -> Con
         first, second = np.triu_indices(len(h), k=1)
         difference = h[second] - h[first]
         asked = np.abs(difference) > gap
-        balance += int(
-            np.sum(np.sign(r[second] - r[first])[asked] * np.sign(difference)[asked])
-        )
+        balance += int(np.sum(np.sign(r[second] - r[first])[asked] * np.sign(difference)[asked]))
         pairs += int(asked.sum())
     return Concordance(balance / pairs if pairs else float("nan"), pairs)
 
@@ -108,9 +106,7 @@ def arm_only_share(expert_rewards: Traces, mime_rewards: Traces, window: int = 5
     return mime_gain / expert_gain if expert_gain > 0 else float("nan")
 
 
-def triplet_accuracy(
-    returns: dict[str, float], triplets: Sequence[tuple[str, str, str]]
-) -> float:
+def triplet_accuracy(returns: dict[str, float], triplets: Sequence[tuple[str, str, str]]) -> float:
     """Return the share of ordered pairs in ``triplets`` that the videos' returns order alike.
 
     :param returns: return of each video by episode id.

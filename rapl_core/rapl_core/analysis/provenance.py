@@ -7,8 +7,17 @@ from importlib import metadata
 from pathlib import Path
 
 PACKAGES = (
-    "rapl_core", "rapl_ros", "numpy", "torch", "torchvision", "timm", "mujoco",
-    "stable-baselines3", "pot", "rosbags", "ros-jazzy-rclpy",
+    "rapl_core",
+    "rapl_ros",
+    "numpy",
+    "torch",
+    "torchvision",
+    "timm",
+    "mujoco",
+    "stable-baselines3",
+    "pot",
+    "rosbags",
+    "ros-jazzy-rclpy",
 )
 
 
@@ -49,7 +58,10 @@ def machine() -> dict[str, str]:
 
 def _git(folder: Path, *arguments: str) -> str:
     done = subprocess.run(
-        ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=10,
+        ["git", "-C", str(folder), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=10,
         check=True,
     )
     return done.stdout.strip()

@@ -205,8 +205,12 @@ def _stage_row(stage: Any) -> dict[str, Any]:
         if isinstance(value, int | float | str) and value != ""
     )
     return {
-        "name": stage.name, "status": stage.status, "seconds": stage.seconds,
-        "attempts": stage.attempts, "detail": stage.detail, "found": found,
+        "name": stage.name,
+        "status": stage.status,
+        "seconds": stage.seconds,
+        "attempts": stage.attempts,
+        "detail": stage.detail,
+        "found": found,
     }
 
 

@@ -158,7 +158,9 @@ class Scorer:
 
 
 def choose_examples(
-    strengths: Mapping[str, float], behaviours: Mapping[str, str], expert_ids: Sequence[str],
+    strengths: Mapping[str, float],
+    behaviours: Mapping[str, str],
+    expert_ids: Sequence[str],
     each: int = 2,
 ) -> tuple[list[str], list[str]]:
     """Choose videos to show: the most preferred outside the expert set, and disliked ones.

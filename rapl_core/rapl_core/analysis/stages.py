@@ -5,7 +5,7 @@ The conductor writes it, a resumed run begins where it stops, and the report rea
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -63,6 +63,12 @@ class StageBook:
     def fail(self, name: str, detail: str) -> None:
         """Note that ``name`` failed and why."""
         self._put(replace(self[name], status="failed", detail=detail))
+
+    def forget(self, names: Iterable[str]) -> None:
+        """Note that what these stages found no longer counts; their times stay."""
+        for name in names:
+            if self[name].status != "waiting":
+                self._put(replace(self[name], status="waiting", detail="", result={}))
 
     def skip(self, name: str, detail: str) -> None:
         """Note that this run does without ``name``."""

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.stats import kendalltau, spearmanr
+
 from rapl_core.analysis import measures
 from rapl_core.errors import ShapeError
-from scipy.stats import kendalltau, spearmanr
 
 
 @given(

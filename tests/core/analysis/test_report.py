@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
 from rapl_core.analysis import curves, record, report, scoring
 from rapl_core.analysis.stages import StageBook, read_stages
 from rapl_core.episodes import EpisodeStore
@@ -19,7 +21,6 @@ from rapl_core.preferences.store import RankingStore
 from rapl_core.transport.config import TransportConfig
 from rapl_core.transport.reward import ot_reward
 from rapl_core.types import EmbeddedEpisode, EncoderInfo, Episode, Ranking, RewardTrace
-from scipy.stats import spearmanr
 
 STEPS, SIZE = 12, 24
 
@@ -48,10 +49,18 @@ def video(name: str, behaviour: str, distance: float, purpose: str = "demonstrat
     frames = np.zeros((STEPS + 1, SIZE, SIZE, 3), np.uint8)
     frames[np.arange(STEPS + 1), SIZE // 2, columns] = 255
     return Episode(
-        episode_id=name, task="spot", world=0, purpose=purpose, controller="demonstrator",
-        frames=frames, states=columns[:, None].astype(float), actions=np.zeros((STEPS, 1)),
+        episode_id=name,
+        task="spot",
+        world=0,
+        purpose=purpose,
+        controller="demonstrator",
+        frames=frames,
+        states=columns[:, None].astype(float),
+        actions=np.zeros((STEPS, 1)),
         stamps_ns=np.arange(1, STEPS + 2) * 10_000_000,
-        human_rewards=(columns - SIZE) / SIZE, success=distance > 0.9, behaviour=behaviour,
+        human_rewards=(columns - SIZE) / SIZE,
+        success=distance > 0.9,
+        behaviour=behaviour,
     )
 
 
@@ -76,8 +85,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ranks = tuple(int(r) for r in np.argsort(np.argsort([-returns[e] for e in ids])) + 1)
             rankings.add(Ranking(f"r{number}", "test", ids, ranks))
     settings = {
-        "task": "spot", "reward": "rapl", "preset": "tuned", "seed": 0, "steps": 400,
-        "final_episodes": 3, "quick": True,
+        "task": "spot",
+        "reward": "rapl",
+        "preset": "tuned",
+        "seed": 0,
+        "steps": 400,
+        "final_episodes": 3,
+        "quick": True,
     }
     (folder / "config.yaml").write_text(yaml.safe_dump({"run": settings}))
     book = StageBook(folder)
@@ -116,8 +130,16 @@ def test_figures_take_the_colour_of_the_page(page: str) -> None:
 
 def test_it_tells_what_was_found(page: str) -> None:
     for words in (
-        "88 %", "held-out triplets", "33 %", "success over 3 episodes", "all the way", "half way",
-        "1:05", "--quick", "preset tuned", "disliked",
+        "88 %",
+        "held-out triplets",
+        "33 %",
+        "success over 3 episodes",
+        "all the way",
+        "half way",
+        "1:05",
+        "--quick",
+        "preset tuned",
+        "disliked",
     ):
         assert words in page, words
 
@@ -128,7 +150,9 @@ def test_results_hold_the_numbers_of_the_run(run: Path, page: str) -> None:
     assert found["success"]["mean_of_last_three"] == pytest.approx(0.25)
     assert found["triplets"] == 30
     assert {share["behaviour"]: share["videos"] for share in found["pool"]} == {
-        "mime": 3, "half way": 13, "all the way": 8,
+        "mime": 3,
+        "half way": 13,
+        "all the way": 8,
     }
     assert found["wall_time_s"] == pytest.approx(65.0)
     assert found["versions"]["numpy"] == np.__version__
@@ -144,7 +168,8 @@ def expected_episode_correlation(run: Path) -> float:
     ids = found.expert_ids()
     experts = [
         EmbeddedEpisode(e.episode_id, encoder.embed(e.frames[1:]))
-        for e in episodes if e.episode_id in ids
+        for e in episodes
+        if e.episode_id in ids
     ]
     others = [e for e in episodes if e.episode_id not in ids]
     sums = [encoder.reward(encoder.embed(e.frames[1:]), experts).total for e in others]

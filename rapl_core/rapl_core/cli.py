@@ -1,0 +1,69 @@
+"""The command ``rapl``: looks at tasks and runs without a ROS graph."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rapl_core.errors import RaplError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="rapl", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("list", help="name the tasks, their behaviours and the encoders")
+    report = commands.add_parser("report", help="write report.html and results.json of a run")
+    report.add_argument(
+        "run", type=Path, help="run folder, e.g. runs/franka_group/rapl-tuned-seed0"
+    )
+    report.add_argument(
+        "--oracle",
+        type=Path,
+        metavar="JSON",
+        help="success curve of a run with the true reward, to draw beside (the one of a run in "
+        "the same folder)",
+    )
+    arguments = parser.parse_args(argv)
+    try:
+        if arguments.command == "list":
+            _list()
+        else:
+            _report(arguments.run, arguments.oracle)
+    except RaplError as error:
+        print(f"rapl: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _list() -> None:
+    from rapl_core.demonstrators import behaviour_names
+    from rapl_core.representations import encoder_names
+    from rapl_core.tasks import get_task, task_names
+
+    for name in task_names():
+        task = get_task(name)
+        print(f"{name}: {task.title}")
+        print(f"  behaviours: {', '.join(behaviour_names(task))}")
+    print(f"encoders: {', '.join(encoder_names())}")
+
+
+def _report(run: Path, oracle: Path | None) -> None:
+    from rapl_core.analysis.curves import read_curve
+    from rapl_core.analysis.record import read_run
+    from rapl_core.analysis.report import write_report
+    from rapl_core.representations import make_encoder
+
+    settings = read_run(run).settings
+    reward = settings["reward"]
+    encoder = None
+    if reward != "ground_truth":
+        encoder = make_encoder(settings.get("encoder") or reward, run)
+    curve = None
+    if oracle is not None and (curve := read_curve(oracle)) is None:
+        raise RaplError(f"there is no file {oracle}")
+    print(write_report(run, encoder, curve))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

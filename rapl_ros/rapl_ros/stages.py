@@ -1,0 +1,277 @@
+"""The stages of the main job: what each asks of which node, and how it goes on after a stop."""
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from rapl_msgs.action import Align, Collect, Evaluate, Train
+from rapl_msgs.srv import ListRankings
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+
+from rapl_core.episodes import EpisodeStore
+from rapl_ros import topics
+from rapl_ros.calls import CallError, call, pause
+from rapl_ros.goals import ActionPort
+from rapl_ros.node import RaplNode
+from rapl_ros.run_config import RunConfig
+
+SWAP_DEADLINE_S = 180.0
+"""For an encoder to load and to embed its experts; torch alone takes seconds to import."""
+DRAWN_NOISE = -1.0
+"""Asks the demonstrator to draw each episode's noise."""
+
+Result = Mapping[str, Any]
+
+
+class ShowProgress(Protocol):
+    """Takes how far the stage under way is."""
+
+    def __call__(self, done: int, total: int, unit: str, detail: str = "") -> None: ...
+
+
+class StageContext:
+    """What the stages work with.
+
+    :param node: whose clients are used.
+    :param show: takes progress.
+    :param say: takes what is waited for; empty when the wait is over.
+    """
+
+    def __init__(
+        self,
+        node: RaplNode,
+        run: RunConfig,
+        folder: Path,
+        show: ShowProgress,
+        say: Callable[[str], None],
+    ) -> None:
+        def port(kind: type, name: str, peer: str) -> ActionPort:
+            return ActionPort(node, kind, topics.of_node(name, peer), peer, say)
+
+        self.node, self.run, self.folder, self.show, self.say = node, run, folder, show, say
+        self.collect = port(Collect, topics.COLLECT, topics.DEMONSTRATOR)
+        self.align = port(Align, topics.ALIGN, topics.PREFERENCE)
+        self.train = port(Train, topics.TRAIN, topics.LEARNER)
+        self.evaluate = port(Evaluate, topics.EVALUATE, topics.LEARNER)
+        self.rankings = node.create_client(
+            ListRankings, topics.of_node(topics.LIST_RANKINGS, topics.PREFERENCE)
+        )
+        self._setters = {
+            peer: node.create_client(SetParameters, f"{peer}/set_parameters")
+            for peer in (topics.ENCODER, topics.SIMULATED_HUMAN)
+        }
+
+    async def set_parameter(self, peer: str, name: str, value: str | int) -> None:
+        """Set a parameter of another node.
+
+        :raises CallError: if it refuses or does not answer.
+        """
+        kind = ParameterType.PARAMETER_STRING
+        wire = (
+            ParameterValue(type=kind, string_value=value)
+            if isinstance(value, str)
+            else (ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value))
+        )
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=wire)])
+        response = await call(self.node, self._setters[peer], request, SWAP_DEADLINE_S)
+        if not response.results[0].successful:
+            raise CallError(f"{peer} refuses {name} = {value!r}: {response.results[0].reason}")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the main job."""
+
+    name: str
+    perform: Callable[[StageContext], Awaitable[Result]]
+    """Does what is still to do; called again after an interruption."""
+    summary: Callable[[Result], str]
+    """What the result is in a few words."""
+    is_needed: Callable[[RunConfig], bool] = lambda run: True
+    is_stale: Callable[[RunConfig, Result], bool] = lambda run, result: False
+    """Whether it must run again although it is done, with this result."""
+
+
+async def collect(context: StageContext) -> Result:
+    """Fill the pool of videos; what is on disk counts."""
+    run, wanted = context.run, context.run.pool_episodes
+    pool = _pool(context.folder)
+    have = len(pool)
+    dropped = 0
+    if have < wanted:
+        goal = Collect.Goal(
+            episodes=wanted - have,
+            noise=DRAWN_NOISE,
+            purpose="demonstrate",
+            seed=run.seed,
+            # Beyond every number used so far, whichever world recorded how many.
+            first_episode=have and max(_number(e) for e in pool) + 1,
+        )
+        result = await context.collect.run(
+            goal, lambda feedback: context.show(have + feedback.done, wanted, "videos")
+        )
+        _check(result, "collect")
+        dropped = result.dropped
+    context.show(wanted, wanted, "videos")
+    return {"videos": len(_pool(context.folder)), "dropped": dropped}
+
+
+async def rank(context: StageContext) -> Result:
+    """Wait until the human, simulated or not, has given the rankings wanted."""
+    wanted = context.run.triplets
+    await context.set_parameter(topics.SIMULATED_HUMAN, "rankings", wanted)
+    while True:
+        response = await call(context.node, context.rankings, ListRankings.Request(limit=1))
+        context.show(min(response.total, wanted), wanted, "rankings")
+        if response.total >= wanted:
+            return {"rankings": int(response.total)}
+        await pause(context.node, 0.2)
+
+
+async def align(context: StageContext) -> Result:
+    """Train the encoder from the rankings and put it to work."""
+    run = context.run
+    name = run.reward_encoder
+    goal = Align.Goal(encoder=run.reward, preset=run.preset, triplets=run.triplets, seed=run.seed)
+    result = await context.align.run(
+        goal,
+        lambda feedback: context.show(
+            feedback.epoch,
+            feedback.epochs,
+            "epochs",
+            f"held-out accuracy {feedback.held_out_accuracy:.0%}"
+            if math.isfinite(feedback.held_out_accuracy)
+            else "",
+        ),
+    )
+    _check(result, "align")
+    await context.set_parameter(topics.ENCODER, "encoder", name)
+    return {
+        "held_out_accuracy": float(result.held_out_accuracy),
+        "triplets": int(result.triplets),
+        "version": result.version,
+        "uri": result.uri,
+    }
+
+
+async def train(context: StageContext) -> Result:
+    """Train the policy up to the wanted number of world steps."""
+    wanted = context.run.steps
+
+    def show(feedback: Train.Feedback) -> None:
+        metrics = feedback.metrics
+        success = metrics.success_rate
+        context.show(
+            metrics.steps,
+            wanted,
+            "steps",
+            f"success {success:.0%}" if math.isfinite(success) else "",
+        )
+
+    result = await context.train.run(Train.Goal(steps=wanted, resume=True), show)
+    _check(result, "train")
+    metrics = result.metrics
+    return {
+        "steps": int(metrics.steps),
+        "updates": int(metrics.updates),
+        "episodes": int(metrics.episodes),
+        "dropped_episodes": int(metrics.dropped_episodes),
+        "policy_id": result.policy_id,
+    }
+
+
+async def evaluate(context: StageContext) -> Result:
+    """Let the learnt policy act without exploring, on starts seen nowhere else."""
+    wanted = context.run.final_episodes
+    result = await context.evaluate.run(
+        Evaluate.Goal(episodes=wanted, seed=context.run.seed),
+        lambda feedback: context.show(
+            feedback.done, wanted, "episodes", f"success {feedback.success_rate:.0%}"
+        ),
+    )
+    _check(result, "evaluate")
+    return {
+        "success_rate": float(result.success_rate),
+        "human_return_mean": float(result.human_return_mean),
+        "reward_mean": float(result.reward_mean),
+        "episodes": len(result.episode_ids),
+        "episode_ids": list(result.episode_ids),
+    }
+
+
+async def report(context: StageContext) -> Result:
+    """Write report.html in a process of its own, for it needs torch and this node does not."""
+    context.show(0, 1, "report")
+    command = [
+        sys.executable,
+        "-m",
+        "rapl_ros.tethered",
+        str(os.getpid()),
+        "rapl_core.cli",
+        "report",
+        str(context.folder),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        while process.poll() is None:
+            await pause(context.node, 0.1)
+    finally:
+        if process.poll() is None:
+            process.kill()
+        output = process.communicate()[0].strip()
+    if process.returncode != 0:
+        last = output.splitlines()[-1] if output else f"exit code {process.returncode}"
+        context.node.get_logger().error(output)
+        raise CallError(f"the report failed: {last}")
+    return {"report": "report.html"}
+
+
+STAGES: tuple[Stage, ...] = (
+    Stage(
+        "collect",
+        collect,
+        lambda r: f"{r['videos']} videos",
+        is_needed=lambda run: run.uses_rankings,
+    ),
+    Stage(
+        "rank",
+        rank,
+        lambda r: f"{r['rankings']} rankings",
+        is_needed=lambda run: run.uses_rankings,
+    ),
+    Stage(
+        "align",
+        align,
+        lambda r: f"{r['held_out_accuracy']:.0%} of held-out triplets ordered right",
+        is_needed=lambda run: run.uses_rankings,
+    ),
+    Stage(
+        "train",
+        train,
+        lambda r: f"{r['updates']} gradient steps, {r['episodes']} episodes",
+        is_stale=lambda run, result: result["steps"] < run.steps,
+    ),
+    Stage("evaluate", evaluate, lambda r: f"success {r['success_rate']:.0%}"),
+    Stage("report", report, lambda r: str(r["report"])),
+)
+
+
+def _pool(folder: Path) -> list[str]:
+    store = EpisodeStore(folder / "episodes")
+    return [e.episode_id for e in store.summaries() if e.purpose == "demonstrate"]
+
+
+def _number(episode_id: str) -> int:
+    """Number within its world: ids are ``<purpose>-s<seed>-w<world>-<number>-<token>``."""
+    return int(episode_id.split("-")[3])
+
+
+def _check(result: Any, what: str) -> None:
+    if not result.success:
+        raise CallError(f"{what}: {result.message}")
