@@ -18,8 +18,7 @@ from rapl_core.demonstrators.collecting import NOISES
 from rapl_core.errors import RaplError, UnknownNameError
 from rapl_core.simulation.simulation import STREAMS
 from rapl_core.tasks.base import Task
-from rapl_ros.conversions import answer
-from rapl_ros.wire import Command, Instant
+from rapl_ros.wire import Command, Instant, answer
 
 UNRECORDED_EPISODES = 2
 """A world; while more lack their recording no new episode begins."""

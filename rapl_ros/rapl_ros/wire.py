@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rapl_core.errors import ShapeError
 from rapl_core.types import check_episode_id
@@ -129,6 +129,50 @@ class World:
     action_names: tuple[str, ...]
     camera_frames: tuple[str, ...]
     seed: int
+
+
+def answer(instant: Instant, values: ArrayLike, behaviour: str = "") -> Command:
+    """The command that answers ``instant`` with ``values`` (A,)."""
+    return Command(
+        key=instant.key,
+        world=instant.world,
+        episode_id=instant.episode_id,
+        step=instant.step,
+        controller=instant.controller,
+        values=np.asarray(values, dtype=np.float64),
+        behaviour=behaviour,
+    )
+
+
+@dataclass(frozen=True)
+class LearnerMetrics:
+    """How learning stands (Metrics.msg); NaN where unknown."""
+
+    steps: int
+    updates: int
+    episodes: int
+    dropped_episodes: int
+    unrewarded_episodes: int
+    steps_per_s: float
+    reward_mean: float
+    human_return_mean: float
+    success_rate: float
+    actor_loss: float
+    critic_loss: float
+    entropy_coefficient: float
+
+
+@dataclass(frozen=True)
+class PolicyRecord:
+    """A policy that is on disk (PolicyInfo.msg)."""
+
+    policy_id: str
+    uri: str
+    """Relative to the run folder."""
+    steps: int
+    """World steps of training."""
+    success_rate: float
+    """Of its last evaluation; NaN before the first."""
 
 
 def check_finite(name: str, values: NDArray[np.floating]) -> None:

@@ -40,18 +40,19 @@ from rapl_ros.conversions.images import (
     image_from_ros,
     image_to_ros,
 )
+from rapl_ros.conversions.learning import metrics_to_ros, policy_to_ros
 from rapl_ros.conversions.progress import progress_from_ros, progress_to_ros
 from rapl_ros.conversions.rewards import invalid_reward_to_ros, reward_from_ros, reward_to_ros
 from rapl_ros.conversions.worlds import (
     action_from_ros,
     action_to_ros,
-    answer,
     joint_state_to_ros,
     state_from_ros,
     state_to_ros,
     world_from_ros,
     world_to_ros,
 )
+from rapl_ros.wire import answer
 
 __all__ = [
     "ENCODINGS",
@@ -80,6 +81,8 @@ __all__ = [
     "invalid_reward_to_ros",
     "joint_state_to_ros",
     "key_from_ros",
+    "metrics_to_ros",
+    "policy_to_ros",
     "progress_from_ros",
     "progress_to_ros",
     "ranking_from_ros",

@@ -87,19 +87,6 @@ def action_from_ros(msg: wire_msg.Action) -> Command:
     )
 
 
-def answer(instant: Instant, values: ArrayLike, behaviour: str = "") -> Command:
-    """The command that answers ``instant`` with ``values`` (A,)."""
-    return Command(
-        key=instant.key,
-        world=instant.world,
-        episode_id=instant.episode_id,
-        step=instant.step,
-        controller=instant.controller,
-        values=np.asarray(values, dtype=np.float64),
-        behaviour=behaviour,
-    )
-
-
 def joint_state_to_ros(
     key: JoinKey, names: Sequence[str], positions: ArrayLike, velocities: ArrayLike
 ) -> JointState:

@@ -1,0 +1,37 @@
+"""Metrics of learning and the policy at hand."""
+
+from rapl_msgs import msg as wire_msg
+from std_msgs.msg import Header
+
+from rapl_ros.conversions.headers import time_to_ros
+from rapl_ros.wire import LearnerMetrics, PolicyRecord
+
+
+def metrics_to_ros(metrics: LearnerMetrics, stamp_ns: int) -> wire_msg.Metrics:
+    """LearnerMetrics to Metrics."""
+    return wire_msg.Metrics(
+        header=Header(stamp=time_to_ros(stamp_ns)),
+        steps=int(metrics.steps),
+        updates=int(metrics.updates),
+        episodes=int(metrics.episodes),
+        dropped_episodes=int(metrics.dropped_episodes),
+        unrewarded_episodes=int(metrics.unrewarded_episodes),
+        steps_per_s=float(metrics.steps_per_s),
+        reward_mean=float(metrics.reward_mean),
+        human_return_mean=float(metrics.human_return_mean),
+        success_rate=float(metrics.success_rate),
+        actor_loss=float(metrics.actor_loss),
+        critic_loss=float(metrics.critic_loss),
+        entropy_coefficient=float(metrics.entropy_coefficient),
+    )
+
+
+def policy_to_ros(policy: PolicyRecord, stamp_ns: int) -> wire_msg.PolicyInfo:
+    """PolicyRecord to PolicyInfo."""
+    return wire_msg.PolicyInfo(
+        header=Header(stamp=time_to_ros(stamp_ns)),
+        policy_id=policy.policy_id,
+        uri=policy.uri,
+        steps=int(policy.steps),
+        success_rate=float(policy.success_rate),
+    )

@@ -1,0 +1,159 @@
+"""Real nodes in processes of their own, and a probe that listens to them; all with deadlines."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+
+from rapl_ros import topics
+
+DISCOVERY_S = 20.0
+"""Discovery takes up to 4 s on a loaded machine, a start some seconds more."""
+
+
+class NodeProcess:
+    """One node in its own process."""
+
+    def __init__(self, module: str, log: Path, **parameters: Any) -> None:
+        self.module = module
+        self.log = log
+        self._parameters = parameters
+        self.process = self._start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        arguments = []
+        for name, value in self._parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            arguments += ["-p", f"{name.replace('__', '.')}:={text}"]
+        ros = ["--ros-args", *arguments] if arguments else []
+        with self.log.open("ab") as output:
+            return subprocess.Popen(
+                [sys.executable, "-m", self.module, *ros],
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            )
+
+    def kill(self) -> None:
+        """End it as a crash would."""
+        self.process.kill()
+        self.process.wait(timeout=10)
+
+    def restart(self) -> None:
+        """Start it again with the same parameters."""
+        self.process = self._start()
+
+    def signal(self, number: int) -> int:
+        """Send a signal and return the exit code."""
+        self.process.send_signal(number)
+        return self.process.wait(timeout=10)
+
+    def stop(self) -> None:
+        """End it; by force if need be."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(timeout=8)
+            except subprocess.TimeoutExpired:
+                self.kill()
+
+    def text(self) -> str:
+        """What it has said so far."""
+        return self.log.read_text(errors="replace")
+
+
+class Probe:
+    """A node of the test, spun by the test itself."""
+
+    def __init__(self, name: str = "probe") -> None:
+        self.node = Node(name, namespace=topics.NAMESPACE)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.received: defaultdict[str, list[Any]] = defaultdict(list)
+
+    def listen(
+        self,
+        kind: type,
+        topic: str,
+        profile: QoSProfile,
+        callback: Callable[[Any], None] | None = None,
+    ) -> list[Any]:
+        """Keep what comes on a topic; returns the list that grows."""
+        messages = self.received[topic]
+
+        def on_message(msg: Any) -> None:
+            messages.append(msg)
+            if callback is not None:
+                callback(msg)
+
+        self.node.create_subscription(kind, topic, on_message, profile)
+        return messages
+
+    def until(self, condition: Callable[[], Any], deadline_s: float, what: str) -> Any:
+        """Spin until ``condition`` is true and return its value; fail when it is too late."""
+        end = time.monotonic() + deadline_s
+        while time.monotonic() < end:
+            value = condition()
+            if value:
+                return value
+            self.executor.spin_once(timeout_sec=min(0.1, max(0.0, end - time.monotonic())))
+        raise AssertionError(f"not within {deadline_s:g} s: {what}")
+
+    def spin_for(self, seconds: float) -> None:
+        """Spin for a while: only to show that something does not happen."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=min(0.1, max(0.0, end - time.monotonic())))
+
+    def wait(self, future: Future, deadline_s: float, what: str) -> Any:
+        """Result of a future."""
+        self.until(future.done, deadline_s, what)
+        return future.result()
+
+    def call(self, kind: type, service: str, request: Any, deadline_s: float = DISCOVERY_S) -> Any:
+        """Call a service once it is there."""
+        client = self.node.create_client(kind, service)
+        try:
+            self.until(client.service_is_ready, deadline_s, f"service {service} appears")
+            return self.wait(client.call_async(request), deadline_s, f"{service} answers")
+        finally:
+            self.node.destroy_client(client)
+
+    def status_of(self, node: str) -> dict[str, str]:
+        """Newest diagnostics of a node as key and value; needs ``listen`` on /diagnostics."""
+        for array in reversed(self.received[topics.DIAGNOSTICS]):
+            for status in array.status:
+                if status.name == f"/{topics.NAMESPACE}/{node}":
+                    return {
+                        "message": status.message,
+                        "level": str(status.level[0]),
+                        **{value.key: value.value for value in status.values},
+                    }
+        return {}
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+
+
+@contextmanager
+def ros() -> Iterator[None]:
+    """rclpy for a module's tests."""
+    rclpy.init()
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
