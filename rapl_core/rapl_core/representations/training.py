@@ -131,7 +131,7 @@ def train_head(
             loss = objective.loss(head, batch)
             if not bool(torch.isfinite(loss)):
                 raise ConvergenceError(
-                    f"the loss became {float(loss)} in epoch {epoch} of preset {preset.name}; "
+                    f"the loss became {float(loss.detach())} in epoch {epoch} of preset {preset.name}; "
                     f"lower learning_rate ({preset.learning_rate})"
                 )
             loss.backward()  # type: ignore[no-untyped-call]

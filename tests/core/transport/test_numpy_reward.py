@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from rapl_core.errors import ConvergenceError, ShapeError
-from rapl_core.transport import TransportConfig, ot_reward
-from rapl_core.transport import numpy_reward
+from rapl_core.transport import TransportConfig, numpy_reward, ot_reward
 from rapl_core.types import EmbeddedEpisode
 
 CONFIGS = [

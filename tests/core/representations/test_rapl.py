@@ -1,0 +1,164 @@
+"""Alignment: the loss written out, and what it learns on synthetic videos."""
+
+from dataclasses import replace
+from math import exp, log
+
+import numpy as np
+import pytest
+import torch
+from squares import SMALL
+from torch import nn
+
+from rapl_core.errors import ConvergenceError, RankingError, ShapeError
+from rapl_core.representations.alignment import Lesson
+from rapl_core.representations.presets import AUTHORS_CODE, PAPER, TUNED
+from rapl_core.representations.rapl import RaplObjective, align, fit_rapl
+from rapl_core.representations.report import wilson_interval
+from rapl_core.representations.training import Batch, TiedTriplet
+from rapl_core.transport import ot_distance
+from rapl_core.types import EmbeddedEpisode, Triplet
+
+
+def random_batch(ties: int = 0) -> Batch:
+    generator = torch.Generator().manual_seed(0)
+    return Batch(
+        videos=torch.randn(3, 4, 6, 5, generator=generator),
+        experts=torch.randn(2, 6, 5, generator=generator),
+        ties=torch.randn(3, ties, 6, 5, generator=generator),
+    )
+
+
+def probability(batch: torch.Tensor, index: int, preset) -> float:
+    best, middle, worst = batch[:, index]
+    near = float(ot_distance(best, middle, preset.training)) / preset.temperature
+    far = float(ot_distance(best, worst, preset.training)) / preset.temperature
+    return exp(-near) / (exp(-near) + exp(-far))
+
+
+def test_the_loss_of_the_paper_is_its_equation():
+    batch = random_batch()
+    expected = np.mean([-log(probability(batch.videos, i, PAPER)) for i in range(4)])
+    assert float(RaplObjective(PAPER).loss(nn.Identity(), batch)) == pytest.approx(expected, 1e-4)
+
+
+def test_the_loss_of_the_authors_code_adds_equal_rankings():
+    batch = random_batch(ties=2)
+    expected = np.mean([1 - probability(batch.videos, i, AUTHORS_CODE) for i in range(4)])
+    expected += np.mean([(0.5 - probability(batch.ties, i, AUTHORS_CODE)) ** 2 for i in range(2)])
+    loss = RaplObjective(AUTHORS_CODE).loss(nn.Identity(), batch)
+    assert float(loss) == pytest.approx(expected, 1e-4)
+
+
+def test_the_tuned_loss_adds_all_pairs_anchored_at_experts():
+    batch = random_batch()
+    expected = np.mean([-log(probability(batch.videos, i, TUNED)) for i in range(4)])
+    for i in range(4):
+        a, b, c = (
+            -float(torch.cdist(video[None], batch.experts).mean()) for video in batch.videos[:, i]
+        )
+        expected += sum(log(1 + exp(-(x - y))) for x, y in ((a, b), (b, c), (a, c))) / 4
+    assert float(RaplObjective(TUNED).loss(nn.Identity(), batch)) == pytest.approx(expected, 1e-5)
+
+
+@pytest.mark.parametrize("preset", [PAPER, AUTHORS_CODE, TUNED], ids=lambda p: p.name)
+def test_every_preset_lowers_its_own_loss(preset, features, pool):
+    preset = replace(preset, epochs=8, components=preset.components and 32, frames=6)
+    lesson = Lesson(pool.triplets, pool.expert_ids)
+    history = fit_rapl(features, lesson, preset, np.random.default_rng(0)).history
+    assert history.epochs[-1].loss < 0.9 * history.epochs[0].loss
+
+
+def test_aligned_distances_order_unseen_triplets_better_than_chance(rapl, unseen):
+    encoder, _ = rapl
+    z = {name: torch.from_numpy(encoder.embed(v)) for name, v in unseen.videos.items()}
+    config = SMALL.training
+    right = [
+        float(ot_distance(z[t.best], z[t.middle], config))
+        < float(ot_distance(z[t.best], z[t.worst], config))
+        for t in unseen.triplets
+    ]
+    lower, _ = wilson_interval(float(np.mean(right)), len(right))
+    assert lower > 0.55
+
+
+def test_aligned_rewards_order_unseen_videos_better_than_chance(rapl, unseen, pool):
+    encoder, _ = rapl
+    experts = [EmbeddedEpisode(n, encoder.embed(pool.videos[n])) for n in encoder.expert_ids]
+    totals = {n: encoder.reward(encoder.embed(v), experts).total for n, v in unseen.videos.items()}
+    pairs = [(t.best, t.worst) for t in unseen.triplets]
+    right = float(np.mean([totals[better] > totals[worse] for better, worse in pairs]))
+    assert wilson_interval(right, len(pairs))[0] > 0.65
+
+
+def test_the_report_tells_what_was_done(rapl, pool):
+    encoder, report = rapl
+    assert (report.method, report.preset) == ("rapl", "small")
+    assert (report.train_triplets, report.held_out_triplets) == (64, 16)
+    assert len(report.history) == SMALL.epochs and report.seconds > 0
+    best = report.history[report.best_epoch - 1]
+    assert best.held_out_loss == min(e.held_out_loss for e in report.history)
+    assert report.held_out_accuracy == best.held_out_accuracy
+    low, high = report.held_out_interval
+    assert low < report.held_out_accuracy < high
+    assert 0.5 < report.explained_variance < 1
+    assert encoder.expert_ids == tuple(pool.expert_ids)
+
+
+def test_the_same_seed_gives_the_same_encoder_and_another_seed_another(features, pool, rapl):
+    def version(seed: int) -> str:
+        args = (features, pool.triplets, pool.expert_ids, replace(SMALL, epochs=2))
+        return align(*args, np.random.default_rng(seed))[0].info.version
+
+    assert version(5) == version(5) != version(6)
+
+
+def test_statistics_do_not_see_videos_of_held_out_triplets_alone(features, pool):
+    held_out = [Triplet(*pool.names[-3:])]
+    rest = [t for t in pool.triplets if {t.best, t.middle, t.worst}.isdisjoint(pool.names[-3:])]
+    preset = replace(SMALL, epochs=2)
+
+    def fit(videos):
+        lesson = Lesson(rest, pool.expert_ids, held_out=held_out)
+        return fit_rapl(videos, lesson, preset, np.random.default_rng(0))
+
+    changed = {n: f + 5.0 if n in pool.names[-3:] else f for n, f in features.items()}
+    first, second = fit(features), fit(changed)
+    assert set(pool.names) - set(first.statistics_videos) == set(pool.names[-3:])
+    assert torch.equal(first.embedder.projection.mean, second.embedder.projection.mean)
+    assert torch.equal(first.embedder.projection.components, second.embedder.projection.components)
+
+
+def test_early_stopping_and_progress(features, pool):
+    seen = []
+    preset = replace(SMALL, patience=2, epochs=200, learning_rate=0.1)
+    _, report = align(
+        features, pool.triplets, pool.expert_ids, preset, np.random.default_rng(0), seen.append
+    )
+    assert tuple(seen) == report.history
+    assert len(seen) == report.best_epoch + 2 < 200
+
+
+def test_ties_take_part_in_training(features, pool):
+    preset = replace(AUTHORS_CODE, epochs=3, frames=4)
+    tie = TiedTriplet(pool.names[0], pool.names[7], pool.names[8])
+
+    def weights(ties):
+        lesson = Lesson(pool.triplets, pool.expert_ids, ties)
+        return fit_rapl(features, lesson, preset, np.random.default_rng(0)).embedder.head.weight
+
+    assert not torch.equal(weights(()), weights((tie,)))
+
+
+def test_bad_input_is_refused_by_name(features, pool):
+    rng = np.random.default_rng(0)
+    with pytest.raises(RankingError, match="no triplet"):
+        align(features, [], pool.expert_ids, SMALL, rng)
+    with pytest.raises(RankingError, match="no expert"):
+        align(features, pool.triplets, [], SMALL, rng)
+    with pytest.raises(RankingError, match="1 of the ranked videos have no features.*nobody"):
+        align(features, pool.triplets, ["nobody"], SMALL, rng)
+    with pytest.raises(ShapeError, match="preset paper expects"):
+        align(features, pool.triplets, pool.expert_ids, PAPER, rng)
+    with pytest.raises(ConvergenceError, match="learning_rate"):
+        broken = replace(SMALL, learning_rate=1e30)
+        align(features, pool.triplets, pool.expert_ids, broken, rng)

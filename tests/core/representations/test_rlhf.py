@@ -1,0 +1,42 @@
+"""RLHF: the loss written out, its zero, and what it learns on synthetic videos."""
+
+from math import exp, log
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from rapl_core.representations.report import wilson_interval
+from rapl_core.representations.rlhf import RlhfObjective
+from rapl_core.representations.training import Batch
+
+
+def test_the_loss_is_bradley_terry_over_all_three_pairs():
+    videos = torch.randn(3, 4, 6, 1, generator=torch.Generator().manual_seed(0))
+    batch = Batch(videos, videos[:0, 0], videos[:, :0])
+    returns = videos.double().sum((2, 3)).numpy()
+    expected = np.mean(
+        [sum(log(1 + exp(-(x - y))) for x, y in ((a, b), (b, c), (a, c))) for a, b, c in returns.T]
+    )
+    assert float(RlhfObjective().loss(nn.Identity(), batch)) == pytest.approx(expected, 1e-5)
+
+
+def test_learnt_rewards_order_unseen_videos_better_than_chance(rlhf, unseen):
+    encoder, _ = rlhf
+    totals = {n: encoder.reward(encoder.embed(v), ()).total for n, v in unseen.videos.items()}
+    right = float(np.mean([totals[t.best] > totals[t.worst] for t in unseen.triplets]))
+    assert wilson_interval(right, len(unseen.triplets))[0] > 0.65
+
+
+def test_the_embedding_is_the_reward_and_zero_at_the_experts(rlhf, pool):
+    encoder, report = rlhf
+    assert report.method == encoder.info.name == "rlhf"
+    assert encoder.info.dimension == 1 and encoder.reward_kind == "scalar"
+    z = encoder.embed(pool.videos[pool.names[9]])
+    trace = encoder.reward(z, ())
+    np.testing.assert_allclose(trace.values, z[:, 0] * encoder.info.reward_scale, rtol=1e-6)
+    assert trace.expert_id == "" and trace.converged
+    at_experts = np.concatenate([encoder.embed(pool.videos[n]) for n in encoder.expert_ids])
+    spread = np.std([encoder.embed(v).mean() for v in pool.videos.values()])
+    assert abs(at_experts.mean()) < 0.02 * spread
