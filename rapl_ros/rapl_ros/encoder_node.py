@@ -13,6 +13,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from rapl_msgs import msg as wire_msg
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import CompressedImage, Image
+
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError, WeightsError
 from rapl_core.preferences import RankingStore, expert_set
@@ -20,11 +25,6 @@ from rapl_core.representations import Encoder, encoder_names, make_encoder
 from rapl_core.streaming.batching import BatchQueue
 from rapl_core.streaming.reward_rule import RewardRule
 from rapl_core.types import EmbeddedEpisode, ExpertSet
-from rapl_msgs import msg as wire_msg
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
-from sensor_msgs.msg import CompressedImage, Image
-
 from rapl_ros import conversions, qos, topics
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters

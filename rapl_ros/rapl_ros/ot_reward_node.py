@@ -7,11 +7,12 @@ Parameters: ``source`` (embedding | human_reward), ``human_reward_scale``, the t
 
 import time
 from collections.abc import Iterable
+from typing import Any
+
+from rapl_msgs import msg as wire_msg
 
 from rapl_core.errors import RaplError
 from rapl_core.streaming.reward_desk import DeskConfig, RewardDecision, RewardDesk
-from rapl_msgs import msg as wire_msg
-
 from rapl_ros import conversions, qos, topics
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
@@ -27,12 +28,13 @@ class OtRewardNode(RaplNode):
     else waits for this node, and its queues hold three episodes of all worlds.
     """
 
-    def __init__(self) -> None:
-        super().__init__(topics.OT_REWARD, peers=(topics.SIMULATOR, topics.ENCODER))
+    def __init__(self, **options: Any) -> None:
+        super().__init__(topics.OT_REWARD, peers=(topics.SIMULATOR,), **options)
         self._desk = RewardDesk(declare_config(self, DeskConfig()))
         self._rewards = self.publish_to(wire_msg.Reward, topics.REWARD, qos.event())
         self.subscribe_to(wire_msg.State, topics.STATE, self._on_state, qos.stream())
         if self._desk.config.source == "embedding":
+            self.watch(topics.ENCODER)
             self.subscribe_to(
                 wire_msg.Embedding, topics.EMBEDDING, self._on_embedding, qos.stream()
             )
@@ -41,7 +43,7 @@ class OtRewardNode(RaplNode):
             )
             self.subscribe_to(wire_msg.ExpertSet, topics.EXPERTS, self._on_experts, qos.latched())
         self.steady_timer(CHECK_PERIOD_S, self._on_check)
-        self.heartbeat.report("active", f"rewards from {self._desk.config.source}")
+        self._say_what_is_missing()
 
     def _on_state(self, msg: wire_msg.State) -> None:
         try:
@@ -49,7 +51,9 @@ class OtRewardNode(RaplNode):
         except RaplError as error:
             self._refuse("state", error)
             return
-        self._publish(self._desk.add_state(state, time.monotonic()))
+        with self.diagnostics.shares.of("transport"):
+            decisions = self._desk.add_state(state, time.monotonic())
+        self._publish(decisions)
 
     def _on_embedding(self, msg: wire_msg.Embedding) -> None:
         try:
@@ -60,7 +64,9 @@ class OtRewardNode(RaplNode):
             image = conversions.key_from_ros(msg.header)
             self._publish(self._desk.spoil(image, reason, time.monotonic()))
             return
-        self._publish(self._desk.add_embedding(frame, time.monotonic()))
+        with self.diagnostics.shares.of("transport"):
+            decisions = self._desk.add_embedding(frame, time.monotonic())
+        self._publish(decisions)
 
     def _on_encoder(self, msg: wire_msg.EncoderInfo) -> None:
         try:
@@ -81,11 +87,22 @@ class OtRewardNode(RaplNode):
 
     def _on_check(self) -> None:
         self._publish(self._desk.tick(time.monotonic()))
+        self._say_what_is_missing()
         counters, assembler = self.diagnostics.counters, self._desk.assembler
         counters["rewarded"], counters["dropped"] = self._desk.rewarded, self._desk.dropped
         counters["pending"] = self._desk.pending
         counters["late_states"] = assembler.late_states
         counters["evicted_embeddings"] = assembler.evicted_embeddings
+
+    def _say_what_is_missing(self) -> None:
+        """The learner begins no round while this node waits: its steps would be wasted."""
+        encoder = self.peers.get(topics.ENCODER)
+        if encoder is None or (encoder.alive and encoder.status == "active"):
+            self.heartbeat.report("active", f"rewards from {self._desk.config.source}")
+        elif encoder.alive:
+            self.heartbeat.report("waiting", f"for the encoder, which waits {encoder.detail}")
+        else:
+            self.heartbeat.report("waiting", "for the encoder")
 
     def _publish(self, decisions: Iterable[RewardDecision]) -> None:
         for decision in decisions:

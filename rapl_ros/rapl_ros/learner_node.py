@@ -1,0 +1,436 @@
+"""The node ``learner``: SAC from topics; states in, actions out, rewards when they come."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from rapl_msgs import msg as wire_msg
+from rapl_msgs.action import Evaluate, Train
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from rapl_core.errors import RaplError
+from rapl_core.policies import Evaluation, SacConfig, SacTrainer, ScheduleConfig
+from rapl_ros import conversions, qos, topics
+from rapl_ros.background import wakeable_future
+from rapl_ros.calls import CallError
+from rapl_ros.learner_session import LearnerSession, fresh_or_refuse
+from rapl_ros.node import RaplNode, main
+from rapl_ros.parameters import declare_config
+from rapl_ros.players import EpisodeTally, EvaluationPlayer
+from rapl_ros.rounds import RoundLostError, Rounds, RoundsStoppedError
+from rapl_ros.wire import PolicyRecord, World
+
+FOR_REWARDS = "for rewards"
+TICK_S = 0.5
+"""Between two looks at deadlines, and between two Metrics."""
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """Parameters of the learner beside those of SAC and its schedule."""
+
+    run_folder: Path = Path(".")
+    """Run folder: gets policies/ and metrics/."""
+    seed: int = field(default=0, metadata={"minimum": 0})
+    """Starts, exploration, initial weights and batches follow from it."""
+    reward_deadline_s: float = field(default=15.0, metadata={"minimum": 1.0, "maximum": 3600.0})
+    """Seconds of wall time in which the reward of an episode must come while ot_reward lives;
+    then the episode is dropped."""
+    threads: int = field(default=1, metadata={"minimum": 1, "maximum": 64})
+    """Threads of torch; for networks of this size one is the fastest."""
+
+
+class LearnerNode(RaplNode):
+    """Trains and evaluates a policy in rounds: one episode of every world at a time.
+
+    Subscribes ``state``, ``reward``, ``world_info``. Publishes ``action``, ``metrics``
+    (rapl_msgs/Metrics), ``policy_info`` (rapl_msgs/PolicyInfo, latched). Serves ``~/train``
+    (rapl_msgs/Train) and ``~/evaluate`` (rapl_msgs/Evaluate), one goal of both at a time, and
+    ``~/save`` (std_srvs/Trigger). Calls ``simulator/reset``.
+
+    A round begins only when simulator and ot_reward are there and rewards keep up. Gradient steps
+    run on a thread of their own; the callback that ends a block of steps waits for those of the
+    block before, normally not at all and never longer than one block takes.
+
+    After an encoder swap the replay buffer is emptied, for its rewards mean something else.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        peers = (topics.SIMULATOR, topics.OT_REWARD)
+        super().__init__(topics.LEARNER, peers=peers, **options)
+        self.config = declare_config(self, LearnerConfig())
+        self._sac = declare_config(self, SacConfig(), "sac")
+        self._schedule = declare_config(self, ScheduleConfig(), "schedule")
+        torch.set_num_threads(self.config.threads)
+        self._session: LearnerSession | None = None
+        self._world: World | None = None
+        self._goal: ServerGoalHandle | None = None
+        self._change: Future | None = None
+        self._savers: list[Future] = []
+        self._swaps = 0
+        self._metrics = self.publish_to(wire_msg.Metrics, topics.METRICS, qos.event())
+        self._policies = self.publish_to(wire_msg.PolicyInfo, topics.POLICY_INFO, qos.latched())
+        self._rounds = Rounds(self)
+        self.subscribe_to(wire_msg.Reward, topics.REWARD, self._on_reward, qos.event())
+        self.subscribe_to(wire_msg.WorldInfo, topics.WORLD_INFO, self._on_world, qos.latched())
+        self.create_service(Trigger, topics.SAVE, self._on_save)
+        self._servers = [
+            ActionServer(
+                self,
+                kind,
+                name,
+                execute,
+                goal_callback=self._on_goal,
+                handle_accepted_callback=self._on_accepted,
+                cancel_callback=self._on_cancel,
+            )
+            for kind, name, execute in (
+                (Train, topics.TRAIN, self._train),
+                (Evaluate, topics.EVALUATE, self._evaluate),
+            )
+        ]
+        self.steady_timer(TICK_S, self._tick)
+        self.heartbeat.report("waiting", "for a goal")
+
+    def close(self) -> None:
+        """End the gradient steps under way."""
+        if self._session is not None:
+            self._session.close()
+
+    # Goals
+
+    def _on_goal(self, _: Any) -> GoalResponse:
+        return GoalResponse.ACCEPT if self._goal is None else GoalResponse.REJECT
+
+    def _on_accepted(self, goal: ServerGoalHandle) -> None:
+        self._goal = goal
+        goal.execute()
+
+    def _on_cancel(self, _: ServerGoalHandle) -> CancelResponse:
+        self._wake()
+        return CancelResponse.ACCEPT
+
+    async def _train(self, goal: ServerGoalHandle) -> Train.Result:
+        result = Train.Result()
+        try:
+            await self._until("for world_info", lambda: self._world is not None)
+            session = self._open(goal.request.steps, goal.request.resume)
+            await self._learn(session, goal)
+            result.success = True
+            result.message = f"{session.learning.schedule.steps} steps"
+        except RaplError as error:
+            result.message = str(error)
+        if self._session is not None:
+            result.policy_id = self._session.policy_id
+            result.metrics = self._metrics_now(self._session)
+        self._end(goal, result)
+        return result
+
+    async def _evaluate(self, goal: ServerGoalHandle) -> Evaluate.Result:
+        result = Evaluate.Result()
+        try:
+            await self._until("for world_info", lambda: self._world is not None)
+            session, trainer = self._policy(goal.request.policy_id)
+            rounds = -(-max(1, goal.request.episodes) // session.worlds)
+            # Evaluations during training have used up the numbers below.
+            first = session.learning.schedule.first_evaluation_episode
+            tallies = await self._play_evaluation(
+                session, trainer, range(first, first + rounds), goal.request.seed, goal
+            )
+            found = session.summarise(tallies, goal.request.episodes)
+            result.success_rate = found.success_rate
+            result.human_return_mean = found.human_return_mean
+            result.reward_mean = found.reward_mean
+            result.episode_ids = list(found.episode_ids)
+            result.success = True
+            result.message = f"{found.episodes} episodes"
+        except RaplError as error:
+            result.message = str(error)
+        self._end(goal, result)
+        return result
+
+    def _end(self, goal: ServerGoalHandle, result: Any) -> None:
+        self._goal = None
+        self.heartbeat.report("waiting", "for a goal")
+        if result.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            self.get_logger().error(result.message)
+            goal.abort()
+        self._answer_savers(False, "no training is under way")
+
+    # Sessions
+
+    def _open(self, steps: int, resume: bool) -> LearnerSession:
+        """A session for a training up to ``steps``; resumed from the newest checkpoint, if any."""
+        if steps < 1:
+            raise RaplError(f"steps is {steps}, expected 1 or more")
+        session = self._make_session(steps)
+        newest = session.checkpoints.latest()
+        if not resume:
+            fresh_or_refuse(session)
+        elif newest is not None:
+            session.resume(newest)
+            self.get_logger().info(f"goes on from {newest}")
+        self._replace_session(session)
+        return session
+
+    def _make_session(self, steps: int) -> LearnerSession:
+        assert self._world is not None
+        schedule = replace(self._schedule, steps=steps, worlds=self._world.worlds)
+        return LearnerSession(
+            self._world, self._sac, schedule, self.config.seed, self.config.run_folder
+        )
+
+    def _replace_session(self, session: LearnerSession) -> None:
+        if self._session is not None:
+            self._session.close()
+        self._session, self._swaps = session, 0
+
+    def _policy(self, policy_id: str) -> tuple[LearnerSession, SacTrainer]:
+        """The policy to evaluate: the named one, else the current, else the newest on disk."""
+        session = self._session
+        if session is None:
+            session = self._make_session(self._schedule.steps)
+            newest = session.checkpoints.latest()
+            if newest is None and not policy_id:
+                raise RaplError(f"no policy: nothing was trained and {session.folder} has none")
+            if newest is not None:
+                session.resume(newest)
+            self._replace_session(session)
+        if not policy_id:
+            session.learning.settle()
+            return session, session.learning.trainer
+        known = {path.name: path for path in session.checkpoints.all()}
+        if policy_id not in known:
+            raise RaplError(f"unknown policy '{policy_id}'; known: {', '.join(known) or 'none'}")
+        current = session.learning.trainer
+        trainer = SacTrainer(
+            current.observation_size, current.action_size, self._sac, self.config.seed
+        )
+        trainer.load(known[policy_id])
+        return session, trainer
+
+    # Training
+
+    async def _learn(self, session: LearnerSession, goal: ServerGoalHandle) -> None:
+        schedule = session.learning.schedule
+        while not schedule.finished:
+            if self._savers or goal.is_cancel_requested:
+                await self._save(session)
+                self._check_cancelled()
+            await self._ready(lambda: session.may_begin)
+            player = session.begin_round()
+            self.heartbeat.report("active", f"{schedule.steps} of {schedule.config.steps} steps")
+            try:
+                number = schedule.next_episode
+                await self._rounds.play(player, "train", number, self.config.seed)
+            except (RoundLostError, CallError) as error:
+                self._lose(session, list(player.tallies), error)
+                continue
+            session.end_round(player)
+            if schedule.evaluation_due:
+                await self._evaluate_now(session)
+            metrics = self._metrics_now(session)
+            self._metrics.publish(metrics)
+            goal.publish_feedback(Train.Feedback(metrics=metrics))
+            if schedule.checkpoint_due:
+                await self._save(session)
+
+    async def _evaluate_now(self, session: LearnerSession) -> None:
+        schedule = session.learning.schedule
+        session.learning.settle()
+        first = schedule.first_evaluation_episode
+        tallies = await self._play_evaluation(
+            session,
+            session.learning.trainer,
+            range(first, first + schedule.evaluation_rounds),
+            self.config.seed,
+        )
+        found = session.summarise(tallies, schedule.config.evaluate_episodes)
+        session.evaluated(found)
+        self.get_logger().info(_told(schedule.steps, found))
+
+    async def _play_evaluation(
+        self,
+        session: LearnerSession,
+        trainer: SacTrainer,
+        numbers: range,
+        seed: int,
+        goal: ServerGoalHandle | None = None,
+    ) -> list[tuple[int, EpisodeTally]]:
+        """Play these episodes in every world without exploring and wait for their rewards."""
+        tallies: list[tuple[int, EpisodeTally]] = []
+        waiting = list(numbers)
+        while waiting:
+            self._check_cancelled()
+            await self._ready(lambda: session.keeps_up)
+            player = EvaluationPlayer(session.task, trainer, f"sac-{session.policy_id}")
+            self.heartbeat.report("active", f"evaluation, {len(waiting)} rounds left")
+            try:
+                await self._rounds.play(player, "evaluate", waiting[0], seed)
+            except (RoundLostError, CallError) as error:
+                self._lose(session, list(player.tallies), error)
+                continue
+            ended = list(player.tallies.values())
+            session.expect_rewards(ended)
+            number = waiting.pop(0)
+            tallies += [(number, tally) for tally in ended]
+            if goal is not None:
+                rate = session.summarise(tallies, len(tallies)).success_rate
+                goal.publish_feedback(Evaluate.Feedback(done=len(tallies), success_rate=rate))
+        await self._until(FOR_REWARDS, lambda: session.unrewarded == 0)
+        return tallies
+
+    def _lose(self, session: LearnerSession, episode_ids: list[str], error: RaplError) -> None:
+        """The round is played again: the same starts, other actions."""
+        self.diagnostics.count("lost_rounds")
+        self.get_logger().warning(f"round lost, it is played again: {error}")
+        session.lose_round(episode_ids, str(error))
+
+    async def _save(self, session: LearnerSession) -> None:
+        """Write a checkpoint when the rewards of all that has ended are in it."""
+        while session.unrewarded > 0 and not self._lack():
+            await self._next_change()
+        path = session.save()
+        points = session.curve.points
+        record = PolicyRecord(
+            policy_id=path.name,
+            uri=str(path.relative_to(self.config.run_folder)),
+            steps=session.learning.schedule.steps,
+            success_rate=points[-1].success_rate if points else math.nan,
+        )
+        self._policies.publish(conversions.policy_to_ros(record, self._now_ns))
+        self._answer_savers(True, str(path))
+
+    async def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Answers when the checkpoint is on disk: at the end of the round under way."""
+        if self._goal is None or not isinstance(self._goal.request, Train.Goal):
+            response.message = "no training is under way; its end wrote a checkpoint"
+            return response
+        saved = wakeable_future(self)
+        self._savers.append(saved)
+        response.success, response.message = await saved
+        return response
+
+    def _answer_savers(self, success: bool, message: str) -> None:
+        savers, self._savers = self._savers, []
+        for saver in savers:
+            saver.set_result((success, message))
+
+    # Waiting
+
+    async def _ready(self, may_begin: Callable[[], bool]) -> None:
+        """Wait until a round may begin."""
+        while True:
+            lack = self._lack()
+            if lack:
+                await self._until(lack, lambda: not self._lack())
+            elif may_begin():
+                return
+            else:
+                await self._until(FOR_REWARDS, lambda: may_begin() or bool(self._lack()))
+
+    def _lack(self) -> str:
+        """What is missing to go on, or an empty string."""
+        missing = self.missing_peers()
+        if missing:
+            return f"for {', '.join(missing)}"
+        ot_reward = self.peers[topics.OT_REWARD]
+        if ot_reward.status != "active":
+            return f"for ot_reward, which waits {ot_reward.detail}"
+        return ""
+
+    async def _until(self, what: str, condition: Callable[[], bool]) -> None:
+        """Wait for ``condition``; looked at whenever something has arrived, and on every tick.
+
+        :raises RoundsStoppedError: if the goal is cancelled meanwhile.
+        """
+        while not condition():
+            self._check_cancelled()
+            lack = self._lack()
+            if lack or what != FOR_REWARDS:  # rewards are waited for all the time, and briefly
+                self.heartbeat.report("waiting", lack or what)
+            await self._next_change()
+
+    async def _next_change(self) -> None:
+        self._change = wakeable_future(self)
+        await self._change
+
+    def _check_cancelled(self) -> None:
+        if self._goal is not None and self._goal.is_cancel_requested:
+            raise RoundsStoppedError("cancelled")
+
+    def _wake(self) -> None:
+        if self._change is not None and not self._change.done():
+            self._change.set_result(None)
+
+    def _tick(self) -> None:
+        session = self._session
+        if session is not None:
+            if topics.OT_REWARD in self.missing_peers():
+                session.hold_deadlines()
+            late = session.expire_rewards(self.config.reward_deadline_s)
+            if late:
+                self.diagnostics.count("late_rewards", len(late))
+                self.diagnostics.warn("rewards", f"no reward came for {late[0]} in time")
+            if self._goal is not None:
+                self._metrics.publish(self._metrics_now(session))
+        self._wake()
+
+    # What arrives
+
+    def _on_world(self, msg: wire_msg.WorldInfo) -> None:
+        self._world = conversions.world_from_ros(msg)
+        self._wake()
+
+    def _on_reward(self, msg: wire_msg.Reward) -> None:
+        session = self._session
+        if session is None or msg.purpose == "demonstrate":
+            return
+        try:
+            whose, trace = conversions.reward_from_ros(msg)
+        except RaplError as error:
+            self.diagnostics.error("bad reward", str(error))
+            return
+        session.reward(whose, trace, msg.reason)
+        if trace is None:
+            self.diagnostics.count("dropped_episodes")
+            self.get_logger().warning(f"{msg.episode_id} has no reward: {msg.reason}")
+        if session.swaps > self._swaps:
+            self._swaps = session.swaps
+            source = session.learning.reward_source
+            self.get_logger().warning(f"rewards now come from {source}: replay buffer emptied")
+        self._wake()
+
+    def peer_found(self, peer: str, restarted: bool) -> None:
+        """A simulator that has restarted knows nothing of the round under way."""
+        if peer == topics.SIMULATOR and restarted:
+            self._rounds.abandon(RoundLostError("the simulator has restarted"))
+        self._wake()
+
+    def _metrics_now(self, session: LearnerSession) -> wire_msg.Metrics:
+        return conversions.metrics_to_ros(session.metrics(), self._now_ns)
+
+    @property
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+
+def _told(steps: int, found: Evaluation) -> str:
+    return (
+        f"after {steps} steps: success {found.success_rate:.0%} over {found.episodes} episodes, "
+        f"return of r* {found.human_return_mean:.2f}"
+    )
+
+
+if __name__ == "__main__":
+    main(LearnerNode)
