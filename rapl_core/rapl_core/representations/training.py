@@ -131,8 +131,8 @@ def train_head(
             loss = objective.loss(head, batch)
             if not bool(torch.isfinite(loss)):
                 raise ConvergenceError(
-                    f"the loss became {float(loss.detach())} in epoch {epoch} of preset {preset.name}; "
-                    f"lower learning_rate ({preset.learning_rate})"
+                    f"the loss became {float(loss.detach())} in epoch {epoch} of preset "
+                    f"{preset.name}; lower learning_rate ({preset.learning_rate})"
                 )
             loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
