@@ -12,6 +12,9 @@ from rclpy.node import Node
 SETTLE_S: Final = 0.5
 """Quiet time after which the graph counts as discovered; without a daemon nothing knows sooner."""
 
+ALONE_S: Final = 2.0
+"""Quiet time after which nobody else is there; a loaded machine takes this long to answer."""
+
 DISCOVERY_S: Final = 5.0
 """Longest wait for a graph that keeps changing, or for a name that was asked for."""
 
@@ -65,7 +68,8 @@ def settle(node: Node) -> None:
         )
         if now != seen:
             seen, quiet_since = now, time.monotonic()
-        return time.monotonic() - quiet_since > SETTLE_S
+        alone = now[0] <= 1
+        return time.monotonic() - quiet_since > (ALONE_S if alone else SETTLE_S)
 
     wait_for(node, is_quiet)
 
