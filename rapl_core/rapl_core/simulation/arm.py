@@ -35,7 +35,7 @@ class ArmKinematics:
     def step(
         self, angles: NDArray[np.float64], target: NDArray[np.float64], gain: float = 1.0
     ) -> NDArray[np.float64]:
-        """Return angles (7,) in rad one damped least-squares step closer to ``target`` (3,) in m."""
+        """Return angles (7,) in rad one damped step closer to ``target`` (3,) in m."""
         data = self._scratch
         data.qpos[self._qpos] = angles
         mujoco.mj_kinematics(self._model, data)
@@ -60,7 +60,7 @@ class ArmKinematics:
     def solve(
         self, target: NDArray[np.float64], iterations: int = 100, gain: float = 0.2
     ) -> NDArray[np.float64]:
-        """Return angles (7,) in rad whose gripper is at ``target`` (3,) in m, from the home posture."""
+        """Return angles (7,) in rad that put the gripper at ``target`` (3,) in m."""
         angles = self._home.copy()
         for _ in range(iterations):
             angles = self.step(angles, target, gain)

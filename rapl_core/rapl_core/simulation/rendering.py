@@ -37,7 +37,7 @@ class Renderer:
     def render(self, data: mujoco.MjData) -> NDArray[np.uint8]:
         """Return the picture (H, W, 3)."""
         self._renderer.update_scene(data, self._camera, self._options)
-        return self._renderer.render()
+        return np.asarray(self._renderer.render(), dtype=np.uint8)
 
     def segment(self, data: mujoco.MjData) -> NDArray[np.int32]:
         """Return the id of the geom seen at each pixel (H, W); -1 for none."""

@@ -1,4 +1,4 @@
-"""Robot arms from the MJCF files that the robosuite wheel carries (MIT); the package is not imported."""
+"""Robot arms from the MJCF files in the robosuite wheel (MIT), which is read, not imported."""
 
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution

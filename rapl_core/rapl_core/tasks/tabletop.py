@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rapl_core.errors import ShapeError
 from rapl_core.simulation.arm import ArmKinematics
-from rapl_core.tasks.robots import VISUAL_GROUP, get_robot, robot_spec
+from rapl_core.tasks.robots import get_robot, robot_spec
 
 Rgba = tuple[float, float, float, float]
 
