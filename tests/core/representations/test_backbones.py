@@ -47,6 +47,15 @@ def test_a_resnet18_is_read_from_a_given_file(resnet_file):
     assert backbone.weights_file == str(resnet_file.resolve())
 
 
+def test_a_given_resnet18_computes_what_the_whole_network_does(resnet_file):
+    network = timm.create_model("resnet18", pretrained=False)
+    network.load_state_dict(torch.load(resnet_file, weights_only=True))
+    x = torch.randn(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        (final,) = load_backbone("resnet18", weights=resnet_file)(x)
+        torch.testing.assert_close(final, network.eval().forward_features(x), atol=1e-4, rtol=1e-3)
+
+
 def test_a_backbone_is_frozen_and_stays_in_evaluation_mode(resnet_file):
     backbone = load_backbone("resnet18", weights=resnet_file)
     backbone.train()
