@@ -74,7 +74,10 @@ def test_only_termination_stops_the_bootstrap() -> None:
     replay = trainer.replay
     assert replay.dones[:20, 0].tolist() == [0.0] * 19 + [1.0]
     batch = replay._get_samples(np.array([9, 19]))  # last of each episode
-    target = trainer._step._target_values(batch, torch.tensor(0.0))
+    step = trainer._step
+    with torch.no_grad():
+        following = step._sample(batch.next_observations, torch.zeros(2, A))
+        target = step.target_values(batch, following, torch.tensor(0.0))
     assert target[1, 0] == batch.rewards[1, 0]
     assert target[0, 0] != batch.rewards[0, 0]
 
