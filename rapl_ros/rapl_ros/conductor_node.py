@@ -67,7 +67,7 @@ class ConductorNode(RaplNode):
         self._progress = self.publish_to(Progress, topics.PROGRESS, qos.event())
         self._published_s = -math.inf
         self._meter = ProgressMeter(STAGES[0].name, 1, len(STAGES))
-        self._context = StageContext(self, self.run, self.folder, self._advance, self._wait_for)
+        self._stage_context = StageContext(self, self.run, self.folder, self._advance, self._wait_for)
         self._start = self.steady_timer(0.1, self._begin)
 
     def _begin(self) -> None:
@@ -96,7 +96,7 @@ class ConductorNode(RaplNode):
             self.heartbeat.report("active", stage.name)
             began_s, peers = time.monotonic(), self._incarnations()
             try:
-                result = await stage.perform(self._context)
+                result = await stage.perform(self._stage_context)
             except RaplError as error:
                 self._book.spend(stage.name, time.monotonic() - began_s)
                 self.get_logger().warning(f"{stage.name}, attempt {attempt}: {error}")

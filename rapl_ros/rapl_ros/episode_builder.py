@@ -143,6 +143,7 @@ class EpisodeBuilder:
         self._spare: OrderedDict[JoinKey, NDArray[np.uint8]] = OrderedDict()
         self._unwanted: OrderedDict[JoinKey, None] = OrderedDict()
         self._spare_joints: OrderedDict[JoinKey, Joints] = OrderedDict()
+        self._early: OrderedDict[tuple[str, int], Command] = OrderedDict()
 
     @property
     def open_episodes(self) -> list[str]:
@@ -158,6 +159,8 @@ class EpisodeBuilder:
         recording = self._open.get(instant.episode_id)
         if recording is None:
             recording = self._open[instant.episode_id] = Recording(instant, instant, now_s)
+            for early in [key for key in self._early if key[0] == instant.episode_id]:
+                recording.commands[early[1]] = self._early.pop(early)
         recording.heard_s = now_s
         if instant.step in recording.instants:
             return outcomes
@@ -188,9 +191,17 @@ class EpisodeBuilder:
         return self._finish(recording)
 
     def add_action(self, command: Command) -> list[Outcome]:
-        """Take an action; of two for the same state the first counts, as in the simulator."""
+        """Take an action; of two for the same state the first counts, as in the simulator.
+
+        The first action of an episode may come before the state that it answers.
+        """
         recording = self._open.get(command.episode_id)
-        if recording is None or command.controller != recording.first.controller:
+        if recording is None:
+            place = (command.episode_id, command.step)
+            if command.episode_id not in self._done and place not in self._early:
+                _keep(self._early, place, command, self.limits.spare_images)
+            return []
+        if command.controller != recording.first.controller:
             return []
         recording.commands.setdefault(command.step, command)
         return self._finish(recording)

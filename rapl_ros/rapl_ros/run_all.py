@@ -14,6 +14,7 @@ from rapl_ros.console import Console
 from rapl_ros.domain import graph_environment
 from rapl_ros.options import RunRequest, build_parser, listing, parse
 from rapl_ros.run_config import check_writable, save_config
+from rapl_ros.supervisor import Supervisor, describe_exit
 
 POLL_S = 0.1
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -101,7 +102,7 @@ def run(request: RunRequest, console: Console) -> int:
 
 
 def _watch(
-    supervisor: "Supervisor",  # noqa: F821
+    supervisor: Supervisor,
     view: "ProgressView",  # noqa: F821
     interrupt: _Interrupt,
     request: RunRequest,
@@ -115,7 +116,10 @@ def _watch(
         code = supervisor.exit_code("conductor")
         if code is None or told:
             continue
-        if code != 0 or not request.keep_running:
+        if code != 0:
+            log = f"{supervisor.log_path('conductor')}{supervisor.last_lines('conductor')}"
+            raise RaplError(f"the conductor {describe_exit(code)}; its log: {log}")
+        if not request.keep_running:
             return code
         console.say("All stages are done; the graph keeps running until Ctrl-C.")
         told = True

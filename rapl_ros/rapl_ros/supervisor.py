@@ -135,14 +135,15 @@ class Supervisor:
                 f" for the {len(running.restarted_at) + 1}. time" if running.restarted_at else ""
             )
             raise ProcessFailedError(
-                f"{name} {how}{times}; its log: {self.log_path(name)}{self._last_lines(name)}"
+                f"{name} {how}{times}; its log: {self.log_path(name)}{self.last_lines(name)}"
             )
         self._say(f"{name} {how}; restarting it (log: {self.log_path(name)})")
         _signal_group(running.process, signal.SIGKILL)  # children it may have left behind
         running.restarted_at.append(now)
         running.process = self._spawn(running.spec)
 
-    def _last_lines(self, name: str, lines: int = 6) -> str:
+    def last_lines(self, name: str, lines: int = 6) -> str:
+        """Return the end of a process's log, each line on a new one, indented."""
         try:
             tail = self.log_path(name).read_text(errors="replace").rstrip().splitlines()[-lines:]
         except OSError:

@@ -5,10 +5,12 @@ when its parent dies, however the parent dies; no orphan keeps a domain or a GPU
 """
 
 import ctypes
+import gc
 import os
 import runpy
 import signal
 import sys
+from typing import NoReturn
 
 PR_SET_PDEATHSIG = 1
 
@@ -23,7 +25,24 @@ def main() -> None:
     if os.getppid() != int(parent):  # it died before the request above took effect
         raise SystemExit(1)
     sys.argv = [module, *arguments]
-    runpy.run_module(module, run_name="__main__", alter_sys=True)
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except SystemExit as ending:
+        code = ending.code
+    else:
+        code = 0
+    _leave(code)
+
+
+def _leave(code: object) -> NoReturn:
+    """End the process without taking the interpreter apart: with torch in it that is seconds."""
+    if code is not None and not isinstance(code, int):
+        print(code, file=sys.stderr)
+        code = 1
+    gc.collect()  # middleware objects that nobody holds free their shared memory
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code or 0)
 
 
 if __name__ == "__main__":

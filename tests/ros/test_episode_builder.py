@@ -219,3 +219,11 @@ def test_without_truth_the_episode_says_so(builder):
     (recording,) = feed(builder, sent)
     episode = recording.episode("t")
     assert episode.human_rewards is None and episode.success is None
+
+
+def test_the_first_action_may_come_before_the_state_that_it_answers(builder):
+    sent = messages(instants())
+    index = next(i for i, (kind, _) in enumerate(sent) if kind == "action")
+    sent[index - 1], sent[index] = sent[index], sent[index - 1]
+    (recording,) = feed(builder, sent)
+    assert recording.episode("t").actions.shape == (STEPS, 2)
