@@ -22,6 +22,8 @@ from rapl_ros import topics
 DISCOVERY_S = 20.0
 """Discovery takes up to 4 s on a loaded machine, a start some seconds more."""
 
+ASK_AGAIN_S = 3.0
+
 
 class NodeProcess:
     """One node in its own process."""
@@ -123,11 +125,23 @@ class Probe:
         return future.result()
 
     def call(self, kind: type, service: str, request: Any, deadline_s: float = DISCOVERY_S) -> Any:
-        """Call a service once it is there."""
+        """Call a service once it is there.
+
+        A server that was killed looks ready for up to 20 s and answers nothing: ask again.
+        """
         client = self.node.create_client(kind, service)
+        futures: list[Future] = []
+        asked_s = -ASK_AGAIN_S
+
+        def answered() -> Future | None:
+            nonlocal asked_s
+            if client.service_is_ready() and time.monotonic() - asked_s > ASK_AGAIN_S:
+                asked_s = time.monotonic()
+                futures.append(client.call_async(request))
+            return next((future for future in futures if future.done()), None)
+
         try:
-            self.until(client.service_is_ready, deadline_s, f"service {service} appears")
-            return self.wait(client.call_async(request), deadline_s, f"{service} answers")
+            return self.until(answered, deadline_s, f"{service} answers").result()
         finally:
             self.node.destroy_client(client)
 
