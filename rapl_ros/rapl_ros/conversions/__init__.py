@@ -19,6 +19,7 @@ from rapl_ros.conversions.episodes import (
     VERDICTS,
     episode_record_from_ros,
     episode_record_to_ros,
+    query_to_ros,
     ranking_from_ros,
     ranking_to_ros,
 )
@@ -40,7 +41,11 @@ from rapl_ros.conversions.images import (
     image_from_ros,
     image_to_ros,
 )
-from rapl_ros.conversions.learning import metrics_to_ros, policy_to_ros
+from rapl_ros.conversions.learning import (
+    align_feedback_to_ros,
+    metrics_to_ros,
+    policy_to_ros,
+)
 from rapl_ros.conversions.progress import progress_from_ros, progress_to_ros
 from rapl_ros.conversions.rewards import invalid_reward_to_ros, reward_from_ros, reward_to_ros
 from rapl_ros.conversions.worlds import (
@@ -60,6 +65,7 @@ __all__ = [
     "VERDICTS",
     "action_from_ros",
     "action_to_ros",
+    "align_feedback_to_ros",
     "answer",
     "bytes_to_ros",
     "camera_info_to_ros",
@@ -85,6 +91,7 @@ __all__ = [
     "policy_to_ros",
     "progress_from_ros",
     "progress_to_ros",
+    "query_to_ros",
     "ranking_from_ros",
     "ranking_to_ros",
     "reward_from_ros",

@@ -3,6 +3,7 @@
 from rapl_msgs import msg as wire_msg
 
 from rapl_core.errors import RankingError
+from rapl_core.preferences import Query
 from rapl_core.types import (
     Ranking,
     Verdict,
@@ -52,6 +53,16 @@ def episode_record_from_ros(msg: wire_msg.EpisodeInfo) -> EpisodeRecord:
         uri=msg.uri,
         human_return=msg.human_return if msg.has_truth else None,
         success=msg.success if msg.has_truth else None,
+    )
+
+
+def query_to_ros(query: Query) -> wire_msg.Query:
+    """Query to its message."""
+    return wire_msg.Query(
+        query_id=query.query_id,
+        episode_ids=list(query.episode_ids),
+        strategy=query.strategy,
+        expires=time_to_ros(query.expires_ns),
     )
 
 

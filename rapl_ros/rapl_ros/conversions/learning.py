@@ -1,10 +1,16 @@
-"""Metrics of learning and the policy at hand."""
+"""Metrics of learning, the policy at hand, progress of an alignment."""
+
+from typing import TYPE_CHECKING
 
 from rapl_msgs import msg as wire_msg
+from rapl_msgs.action import Align
 from std_msgs.msg import Header
 
 from rapl_ros.conversions.headers import time_to_ros
 from rapl_ros.wire import LearnerMetrics, PolicyRecord
+
+if TYPE_CHECKING:
+    from rapl_core.representations import EpochProgress
 
 
 def metrics_to_ros(metrics: LearnerMetrics, stamp_ns: int) -> wire_msg.Metrics:
@@ -34,4 +40,14 @@ def policy_to_ros(policy: PolicyRecord, stamp_ns: int) -> wire_msg.PolicyInfo:
         uri=policy.uri,
         steps=int(policy.steps),
         success_rate=float(policy.success_rate),
+    )
+
+
+def align_feedback_to_ros(progress: "EpochProgress") -> Align.Feedback:
+    """EpochProgress to the feedback of Align."""
+    return Align.Feedback(
+        epoch=int(progress.epoch),
+        epochs=int(progress.epochs),
+        loss=float(progress.loss),
+        held_out_accuracy=float(progress.held_out_accuracy),
     )

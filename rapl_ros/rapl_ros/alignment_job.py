@@ -1,0 +1,134 @@
+"""From the rankings of a run to an encoder on disk; the long work behind ``preference/align``."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rapl_core.episodes import EpisodeStore
+from rapl_core.errors import RankingError, UnknownNameError
+from rapl_core.preferences import RankingStore, expert_set, triplets_from
+from rapl_core.representations import (
+    AlignmentReport,
+    Encoder,
+    EpochProgress,
+    FeatureStore,
+    TiedTriplet,
+    align,
+    checkpoint_folder,
+    get_preset,
+    learn_reward,
+    make_extractor,
+    raw_encoder_from,
+    save_encoder,
+)
+from rapl_core.representations.extractor import FeatureRecipe, Precision
+from rapl_core.representations.pretrained import RAW_RECIPE
+from rapl_core.representations.registry import DEFAULT_BACKBONE
+from rapl_core.types import Ranking
+
+METHODS = ("rapl", "rlhf", "imagenet")
+
+
+@dataclass(frozen=True)
+class AlignmentOrder:
+    """What is to be made (goal of Align.action)."""
+
+    run_folder: Path
+    method: str
+    preset: str
+    rankings: int
+    """The first so many; 0: all."""
+    seed: int
+    experts: int
+    precision: Precision
+    purposes: tuple[str, ...]
+    """Purposes of the episodes that are the pool of videos."""
+
+
+@dataclass(frozen=True)
+class AlignmentOutcome:
+    """What was made."""
+
+    version: str
+    uri: str
+    """Relative to the run folder."""
+    held_out_accuracy: float
+    """NaN where nothing was learnt from triplets."""
+    triplets: int
+
+
+def run_alignment(
+    order: AlignmentOrder,
+    on_video: Callable[[int, int], None],
+    on_epoch: Callable[[EpochProgress], None],
+) -> AlignmentOutcome:
+    """Read features, learn, write the encoder to ``encoders/<method>-<version>``.
+
+    :param on_video: told how many videos of how many are read; what it raises ends the work.
+    :param on_epoch: the same for epochs.
+    :raises UnknownNameError: for another method or preset, naming the known ones.
+    :raises RankingError: if there are too few rankings.
+    """
+    if order.method not in METHODS:
+        raise UnknownNameError("method of alignment", order.method, METHODS)
+    preset = get_preset(order.preset)
+    rankings = _rankings(order)
+    triplets = triplets_from(rankings)
+    if not triplets:
+        raise RankingError(f"no triplet in {len(rankings)} rankings, expected at least one")
+    ranked = {video for ranking in rankings for video in ranking.episode_ids if ranking.ranks}
+    experts = expert_set(rankings, min(order.experts, len(ranked)))
+    recipe = RAW_RECIPE if order.method == "imagenet" else preset.recipe
+    features = _features(order, recipe, on_video)
+    rng = np.random.default_rng(order.seed)
+    encoder: Encoder
+    report: AlignmentReport | None = None
+    if order.method == "imagenet":
+        encoder = raw_encoder_from(features, experts, rng)
+    elif order.method == "rlhf":
+        encoder, report = learn_reward(features, triplets, experts, preset, rng, on_epoch)
+    else:
+        ties = tied_triplets(rankings)
+        encoder, report = align(features, triplets, experts, preset, rng, on_epoch, ties)
+    folder = checkpoint_folder(order.run_folder, encoder)
+    save_encoder(encoder, folder, report.to_json() if report else None)
+    return AlignmentOutcome(
+        version=encoder.info.version,
+        uri=str(folder.relative_to(order.run_folder)),
+        held_out_accuracy=report.held_out_accuracy if report else math.nan,
+        triplets=len(triplets),
+    )
+
+
+def tied_triplets(rankings: Sequence[Ranking]) -> list[TiedTriplet]:
+    """Rankings of three in which one video is best and the other two are equal."""
+    tied = []
+    for ranking in rankings:
+        by_rank = sorted(zip(ranking.ranks, ranking.episode_ids, strict=False))
+        if len(by_rank) == 3 and by_rank[0][0] < by_rank[1][0] == by_rank[2][0]:
+            tied.append(TiedTriplet(*(episode_id for _, episode_id in by_rank)))
+    return tied
+
+
+def _rankings(order: AlignmentOrder) -> list[Ranking]:
+    with RankingStore(order.run_folder / "rankings.sqlite") as store:
+        rankings = [ranking for ranking in store.effective() if ranking.ranks]
+    return rankings[: order.rankings] if order.rankings else rankings
+
+
+def _features(
+    order: AlignmentOrder, recipe: FeatureRecipe, on_video: Callable[[int, int], None]
+) -> FeatureStore:
+    """Features of every video of the pool; those in no triplet serve the statistics."""
+    episodes = EpisodeStore(order.run_folder / "episodes")
+    pool = [e.episode_id for e in episodes.summaries() if e.purpose in order.purposes]
+    extractor = make_extractor(DEFAULT_BACKBONE, recipe)
+    features = FeatureStore(extractor, order.run_folder / "features", order.precision)
+    for done, episode_id in enumerate(pool):
+        on_video(done, len(pool))
+        features.add(episode_id, episodes.frames(episode_id)[1:])
+    on_video(len(pool), len(pool))
+    return features
