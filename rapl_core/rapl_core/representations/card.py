@@ -20,6 +20,8 @@ RewardKind = Literal["ot", "scalar"]
 
 FORMAT = 1
 
+_LARGEST_SIZE = 1_000_000
+
 
 @dataclass(frozen=True)
 class EncoderCard:
@@ -52,6 +54,25 @@ class EncoderCard:
     """Where the backbone's weights were, if not at their default place; a hint, no identity."""
 
     def __post_init__(self) -> None:
+        for name in (
+            "method",
+            "preset",
+            "backbone",
+            "backbone_sha256",
+            "data_sha256",
+            "weights_file",
+        ):
+            if not isinstance(getattr(self, name), str):
+                raise ShapeError(f"{name} is {getattr(self, name)!r}, expected text")
+        for name in ("has_projection", "has_head"):
+            if not isinstance(getattr(self, name), bool):
+                raise ShapeError(f"{name} is {getattr(self, name)!r}, expected true or false")
+        for name in ("features", "components", "dimension"):
+            size = getattr(self, name)
+            if not (isinstance(size, int) and 0 < size <= _LARGEST_SIZE) and not (
+                name == "components" and size is None
+            ):
+                raise ShapeError(f"{name} is {size!r}, expected 1 to {_LARGEST_SIZE}")
         if self.reward_kind not in get_args(RewardKind):
             raise UnknownNameError("reward kind", self.reward_kind, get_args(RewardKind))
         if not (math.isfinite(self.reward_scale) and self.reward_scale > 0):

@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from rapl_core.errors import CorruptFileError, WeightsError
+from rapl_core.errors import CorruptFileError, UnknownNameError, WeightsError
 from rapl_core.representations.checkpoints import checkpoint_folder, load_encoder, save_encoder
 from rapl_core.representations.weights import file_of_package
 
@@ -111,6 +111,18 @@ def test_an_impossible_card_is_refused_by_name(copy, changes, message):
     edit_card(copy, **changes)
     with pytest.raises(CorruptFileError, match=message):
         load_encoder(copy)
+
+
+@pytest.mark.parametrize("value", [None, "x", -1, [], {}, 10**12, float("nan")], ids=repr)
+def test_no_field_of_a_card_is_believed(saved, tmp_path, value):
+    content = json.loads((saved / "card.json").read_text())
+    shutil.copy(saved / "model.safetensors", tmp_path)
+    for name in content.keys() - {"weights_file"}:
+        if value is None and name == "components":
+            continue  # says that all are kept, which the weights contradict
+        (tmp_path / "card.json").write_text(json.dumps({**content, name: value}))
+        with pytest.raises((CorruptFileError, WeightsError, UnknownNameError)):
+            load_encoder(tmp_path)
 
 
 def test_tensors_of_another_architecture_are_refused(copy):
