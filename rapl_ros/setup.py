@@ -1,6 +1,11 @@
 """Packaging of rapl_ros, for pip and for colcon."""
 
+from pathlib import Path
+
 from setuptools import find_packages, setup
+
+HERE = Path(__file__).parent
+NODES = sorted(path.stem.removesuffix("_node") for path in HERE.glob("rapl_ros/*_node.py"))
 
 setup(
     name="rapl_ros",
@@ -19,4 +24,6 @@ setup(
         ("share/rapl_ros", ["package.xml"]),
     ],
     zip_safe=False,
+    # What `ros2 run rapl_ros` finds; each runs the module of its name.
+    entry_points={"console_scripts": [f"{node} = rapl_ros.executables:run" for node in NODES]},
 )

@@ -163,7 +163,8 @@ set_up() {
   mapfile -t interfaces < <(find "$root/ros_ws/src/rapl_msgs" -type f | LC_ALL=C sort)
   place=$(digest "$ros $venv")
   packages=$(digest "$place" "$here/requirements.lock")
-  own=$(digest "$packages" "$root"/rapl_{core,ros}/setup.{py,cfg} "$here/ros2_standin.sh")
+  own=$(digest "$packages $(cd "$root/rapl_ros" && echo rapl_ros/*_node.py)" \
+    "$root"/rapl_{core,ros}/setup.{py,cfg} "$here/ros2_standin.sh")
   built=$(digest "$packages" "${interfaces[@]}" "$here"/build_messages.sh "$here"/*.cmake)
   if is_done place "$place" && is_done packages "$packages" && is_done own "$own" &&
     is_done interfaces "$built"; then

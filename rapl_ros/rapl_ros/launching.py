@@ -1,0 +1,127 @@
+"""What ``ros2 launch rapl_bringup rapl.launch.py`` starts, from the one table of the nodes.
+
+Knows nothing of the packages launch and launch_ros, which only a full ROS 2 has: the launch file
+turns these into its actions.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from rapl_core.errors import RaplError, UnknownNameError
+from rapl_ros.node_table import (
+    NODES,
+    NodeEntry,
+    ParameterValue,
+    parameters_of,
+    resolved_parameters,
+    run_parameters,
+)
+from rapl_ros.run_config import CONFIG_FILE, RunConfig, check_writable, load_config, save_config
+
+
+@dataclass(frozen=True)
+class LaunchArgument:
+    """An argument of the launch file."""
+
+    name: str
+    default: str
+    description: str
+
+
+@dataclass(frozen=True)
+class LaunchedNode:
+    """A node as the launch file starts it."""
+
+    executable: str
+    name: str
+    namespace: str
+    parameters: dict[str, ParameterValue]
+    parameter_files: tuple[str, ...]
+    ends: bool
+
+
+_DEFAULT = RunConfig(task="franka_group")
+
+SETTINGS = {
+    "task": "what to learn",
+    "reward": "where the reward comes from: rapl, ground_truth, imagenet or rlhf",
+    "encoder": "encoder that embeds the pictures; empty: the one that the reward implies",
+    "preset": "settings of the representation learning: tuned, paper or authors_code",
+    "seed": "of everything random",
+    "worlds": "worlds simulated side by side",
+    "pool_episodes": "videos to collect and rank",
+    "triplets": "rankings of three videos",
+    "steps": "world steps of learning",
+    "evaluate_every": "world steps between two evaluations while learning",
+    "final_episodes": "episodes of the evaluation after learning",
+}
+"""Arguments that are settings of a run, see :class:`rapl_ros.run_config.RunConfig`."""
+
+ARGUMENTS: tuple[LaunchArgument, ...] = (
+    LaunchArgument("run_folder", "", "folder of the run; empty: runs/TASK/launched here. A folder "
+                   "that holds a run is continued, with the settings that it was started with"),
+    LaunchArgument("nodes", "all", "which nodes to start here, separated by commas, or all; known: "
+                   + ", ".join(entry.name for entry in NODES)),
+    LaunchArgument("params_file", "", "YAML file of further parameters, e.g. QoS overrides"),
+    LaunchArgument("namespace", "rapl", "namespace of the nodes"),
+    *(LaunchArgument(name, str(getattr(_DEFAULT, name)), text) for name, text in SETTINGS.items()),
+)  # fmt: skip
+
+
+def plan(given: Mapping[str, str]) -> list[LaunchedNode]:
+    """Return the nodes to start; prepares the run folder, as run_all does.
+
+    :param given: value of each of `ARGUMENTS`, as text.
+    :raises RaplError: if a value is not acceptable or the folder is not writable.
+    """
+    folder = Path(given["run_folder"] or Path("runs") / given["task"] / "launched")
+    entries = _chosen(given["nodes"])
+    config = _run_config(given, folder)
+    values = run_parameters(config, folder)
+    files = (given["params_file"],) if given["params_file"] else ()
+    return [
+        LaunchedNode(
+            executable=executable_of(entry),
+            name=entry.name,
+            namespace=given["namespace"],
+            parameters=parameters_of(entry, values),
+            parameter_files=files,
+            ends=entry.ends,
+        )
+        for entry in entries
+    ]
+
+
+def executable_of(entry: NodeEntry) -> str:
+    """Return the name by which ``ros2 run rapl_ros`` knows a node."""
+    return entry.module.rpartition(".")[2].removesuffix("_node")
+
+
+def _chosen(names: str) -> list[NodeEntry]:
+    known = {entry.name: entry for entry in NODES}
+    if names == "all":
+        return list(NODES)
+    asked = [name.strip() for name in names.split(",") if name.strip()]
+    for name in asked:
+        if name not in known:
+            raise UnknownNameError("node", name, known)
+    return [known[name] for name in asked]
+
+
+def _run_config(given: Mapping[str, str], folder: Path) -> RunConfig:
+    if (folder / CONFIG_FILE).exists():
+        return load_config(folder)
+    types = {field.name: type(getattr(_DEFAULT, field.name)) for field in fields(RunConfig)}
+    settings: dict[str, Any] = {}
+    for name in SETTINGS:
+        try:
+            settings[name] = types[name](given[name])
+        except ValueError as error:
+            kind = types[name].__name__
+            raise RaplError(f"launch argument {name}:={given[name]} is no {kind}") from error
+    config = RunConfig(**settings)
+    check_writable(folder)
+    save_config(config, folder, resolved_parameters(config, folder, {}))
+    return config
