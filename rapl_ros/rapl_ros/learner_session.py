@@ -254,6 +254,7 @@ class LearnerSession:
             )
         )
         self._log.evaluation(schedule.steps, evaluation)
+        self._pace.clear()  # the pause is not the pace of training
 
     def metrics(self) -> LearnerMetrics:
         """How learning stands."""
