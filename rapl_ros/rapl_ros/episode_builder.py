@@ -68,6 +68,11 @@ class Recording:
                 return f"{name} missing at step {lacking[0]} ({count})"
         return ""
 
+    @property
+    def awaits_joints(self) -> bool:
+        """Whether joints have come, and those of the last state have not."""
+        return bool(self.joints) and self.latest.step not in self.joints
+
     def episode(self, task: str) -> Episode:
         """The complete episode.
 
@@ -140,6 +145,7 @@ class EpisodeBuilder:
         self._open: dict[str, Recording] = {}
         self._done: OrderedDict[str, None] = OrderedDict()
         self._awaited: dict[JoinKey, tuple[str, int]] = {}
+        self._awaited_joints: dict[JoinKey, tuple[str, int]] = {}
         self._spare: OrderedDict[JoinKey, NDArray[np.uint8]] = OrderedDict()
         self._unwanted: OrderedDict[JoinKey, None] = OrderedDict()
         self._spare_joints: OrderedDict[JoinKey, Joints] = OrderedDict()
@@ -173,7 +179,9 @@ class EpisodeBuilder:
         else:
             recording.frames[instant.step] = frame
         joints = self._spare_joints.pop(instant.key, None)
-        if joints is not None:
+        if joints is None:
+            self._awaited_joints[instant.key] = (instant.episode_id, instant.step)
+        else:
             recording.joints[instant.step] = joints
         return outcomes + self._finish(recording)
 
@@ -206,9 +214,17 @@ class EpisodeBuilder:
         recording.commands.setdefault(command.step, command)
         return self._finish(recording)
 
-    def add_joints(self, key: JoinKey, joints: Joints) -> None:
-        """Take the joints of the state with ``key``, which normally come before it."""
-        _keep(self._spare_joints, key, joints, self.limits.spare_images)
+    def add_joints(self, key: JoinKey, joints: Joints) -> list[Outcome]:
+        """Take the joints of the state with ``key``."""
+        if key in self._unwanted:
+            return []
+        place = self._awaited_joints.pop(key, None)
+        if place is None:
+            _keep(self._spare_joints, key, joints, self.limits.spare_images)
+            return []
+        recording = self._open[place[0]]
+        recording.joints[place[1]] = joints
+        return self._finish(recording)
 
     def expire(self, now_s: float) -> list[Outcome]:
         """Give up the episodes whose deadline has passed."""
@@ -216,8 +232,14 @@ class EpisodeBuilder:
         for recording in list(self._open.values()):
             silent_s = now_s - recording.heard_s
             if recording.latest.is_last:
-                if silent_s > self.limits.image_deadline_s:
-                    outcomes.append(self._lose(recording, recording.missing()))
+                if silent_s <= self.limits.image_deadline_s:
+                    continue
+                missing = recording.missing()
+                if missing:
+                    outcomes.append(self._lose(recording, missing))
+                else:  # only joints are, and nothing needs them
+                    self._close(recording)
+                    outcomes.append(recording)
             elif silent_s > self.limits.state_deadline_s:
                 outcomes.append(self._lose(recording, f"stopped at step {recording.latest.step}"))
         return outcomes
@@ -233,12 +255,16 @@ class EpisodeBuilder:
         ]
 
     def _pass_over(self, instant: Instant) -> None:
-        self._spare_joints.pop(instant.key, None)
+        if self._spare_joints.pop(instant.key, None) is None:
+            self._ignore(instant.key)
         if self._spare.pop(instant.image, None) is None:
-            _keep(self._unwanted, instant.image, None, self.limits.spare_images)
+            self._ignore(instant.image)
+
+    def _ignore(self, key: JoinKey) -> None:
+        _keep(self._unwanted, key, None, 2 * self.limits.spare_images)
 
     def _finish(self, recording: Recording) -> list[Outcome]:
-        if not recording.latest.is_last or recording.missing():
+        if not recording.latest.is_last or recording.missing() or recording.awaits_joints:
             return []
         self._close(recording)
         return [recording]
@@ -252,7 +278,9 @@ class EpisodeBuilder:
         del self._open[episode_id]
         for instant in recording.instants.values():
             if self._awaited.pop(instant.image, None) is not None:
-                _keep(self._unwanted, instant.image, None, self.limits.spare_images)
+                self._ignore(instant.image)
+            if self._awaited_joints.pop(instant.key, None) is not None:
+                self._ignore(instant.key)
         _keep(self._done, episode_id, None, self.limits.spare_images)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from rapl_msgs.msg import Action, EpisodeInfo, State, WorldInfo
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import CompressedImage, Image, JointState
 
@@ -60,12 +61,13 @@ class RecorderNode(RaplNode):
         self._writer = Worker(self, "episode writer", WAITING_EPISODES)
         self._world: World | None = None
         self._subscribed_worlds = 0
+        self._cameras: dict[str, Subscription] = {}
         self._episodes = self.publish_to(EpisodeInfo, topics.EPISODE, qos.event())
         self.subscribe_to(State, topics.STATE, self._on_state, qos.stream())
         self.subscribe_to(Action, topics.ACTION, self._on_action, qos.stream())
         self.subscribe_to(WorldInfo, topics.WORLD_INFO, self._on_world_info, qos.latched())
         self.steady_timer(1.0, self._expire)
-        self.heartbeat.report("waiting", "for world_info")
+        self.steady_timer(0.2, self._look_for_cameras)
 
     def _on_world_info(self, msg: WorldInfo) -> None:
         self._world = conversions.world_from_ros(msg)
@@ -79,7 +81,22 @@ class RecorderNode(RaplNode):
                 overridable=True,
             )
         self._subscribed_worlds = max(self._subscribed_worlds, self._world.worlds)
-        self.heartbeat.report("active", f"{msg.task}, {msg.worlds} worlds")
+        self._look_for_cameras()
+
+    def _look_for_cameras(self) -> None:
+        """Report that it records only when it sees all cameras: a demonstrator waits for that."""
+        if self._world is None:
+            self.heartbeat.report("waiting", "for world_info")
+            return
+        absent = [
+            topic
+            for topic, subscription in self._cameras.items()
+            if subscription.get_publisher_count() == 0
+        ]
+        if absent:
+            self.heartbeat.report("waiting", f"for a publisher of {absent[0]}")
+        else:
+            self.heartbeat.report("active", f"{self._world.task}, {self._world.worlds} worlds")
 
     def _subscribe_to_camera(self, world: int) -> None:
         if self.config.image_transport == "compressed":
@@ -90,7 +107,9 @@ class RecorderNode(RaplNode):
             convert = conversions.image_from_ros
         topic = topics.world_topic(topic, world)
         on_image = partial(self._on_image, topic, convert)
-        self.subscribe_to(kind, topic, on_image, qos.stream(), overridable=True)
+        self._cameras[topic] = self.subscribe_to(
+            kind, topic, on_image, qos.stream(), overridable=True
+        )
 
     def _on_image(self, topic: str, convert: Any, msg: Any) -> None:
         try:
@@ -123,7 +142,7 @@ class RecorderNode(RaplNode):
 
     def _on_joints(self, msg: JointState) -> None:
         joints = Joints(tuple(msg.name), np.array(msg.position), np.array(msg.velocity))
-        self._builder.add_joints(conversions.key_from_ros(msg.header), joints)
+        self._handle(self._builder.add_joints(conversions.key_from_ros(msg.header), joints))
 
     def _expire(self) -> None:
         self._handle(self._builder.expire(time.monotonic()))

@@ -61,7 +61,7 @@ def feed(builder, sent, now_s=0.0):
         if kind == "image":
             outcomes += builder.add_image(*payload)
         elif kind == "joints":
-            builder.add_joints(*payload)
+            outcomes += builder.add_joints(*payload)
         elif kind == "state":
             outcomes += builder.add_state(payload, now_s)
         else:
@@ -184,6 +184,23 @@ def test_memory_is_bounded_when_states_never_come():
 def test_without_joints_the_episode_is_complete(builder):
     (recording,) = feed(builder, [m for m in messages(instants()) if m[0] != "joints"])
     assert recording.joint_track() is None
+
+
+def test_joints_that_come_after_their_states_are_kept(builder):
+    sent = messages(instants())
+    sent = [m for m in sent if m[0] != "joints"] + [m for m in sent if m[0] == "joints"]
+    # Nothing says that joints exist until the first has come: here one comes in time.
+    sent.insert(1, sent.pop(-len(instants())))
+    (recording,) = feed(builder, sent)
+    track = recording.joint_track()
+    assert track is not None and track.positions[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_joints_that_stop_coming_cost_no_episode(builder):
+    sent = messages(instants())
+    assert feed(builder, [m for m in sent if m[0] != "joints" or m[1][0].stamp_ns < 1004]) == []
+    (recording,) = builder.expire(6.0)
+    assert isinstance(recording, Recording) and recording.joint_track() is None
 
 
 def test_another_controllers_action_does_not_count(builder):
