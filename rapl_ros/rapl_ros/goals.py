@@ -1,9 +1,11 @@
-"""Having another node do an action, from a coroutine, however long it takes."""
+"""Having another node do what takes long, from a coroutine: actions and parameters."""
 
 import time
 from collections.abc import Callable
 from typing import Any
 
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 
 from rapl_ros.calls import CallError, pause
@@ -33,13 +35,18 @@ class ActionPort:
         self._client = ActionClient(node, kind, name)
 
     async def run(
-        self, goal: Any, on_feedback: Callable[[Any], None], deadline_s: float = 60.0
+        self,
+        goal: Any,
+        on_feedback: Callable[[Any], None],
+        deadline_s: float = 60.0,
+        on_wait: Callable[[], None] = lambda: None,
     ) -> Any:
         """Send ``goal`` and return its result.
 
         The work itself has no deadline: the peer's heartbeat says whether it goes on.
 
         :param deadline_s: for the server to appear, and again for it to accept.
+        :param on_wait: called several times a second while the work goes on.
         :raises PeerRestartedError: if the process that worked on it has been replaced.
         :raises CallError: if there is no server or it refuses the goal.
         """
@@ -64,6 +71,7 @@ class ActionPort:
             if self._node.peers[self._peer].alive == gone:
                 gone = not gone
                 self._say(f"for {self._peer}, which is gone" if gone else "")
+            on_wait()
             await pause(self._node, POLL_S)
         return answer.result().result
 
@@ -80,3 +88,52 @@ class ActionPort:
             self._say(f"for {self._peer}")
             await pause(self._node, POLL_S)
         self._say("")
+
+
+class ParameterPort:
+    """The parameters of one peer.
+
+    :param node: must watch ``peer``.
+    :param say: told what is waited for; empty when the wait is over.
+    """
+
+    def __init__(self, node: RaplNode, peer: str, say: Callable[[str], None]) -> None:
+        self._node, self._peer, self._say = node, peer, say
+        self._client = node.create_client(SetParameters, f"{peer}/set_parameters")
+
+    async def set(self, name: str, value: str | int, deadline_s: float) -> None:
+        """Set a parameter.
+
+        :raises PeerRestartedError: if another process has taken the peer's place meanwhile.
+        :raises CallError: if the peer refuses, or neither appears nor answers in time.
+        """
+        peer = self._node.peers[self._peer]
+        what = f"parameter {name} of {self._peer}"
+        began_s = time.monotonic()
+        while not (peer.alive and self._client.service_is_ready()):
+            if time.monotonic() - began_s > deadline_s:
+                raise CallError(f"{self._peer} is not there; waited {deadline_s:g} s")
+            self._say(f"for {self._peer}")
+            await pause(self._node, POLL_S)
+        self._say("")
+        incarnation, began_s = peer.incarnation, time.monotonic()
+        future = self._client.call_async(_request(name, value))
+        while not future.done():
+            late = time.monotonic() - began_s > deadline_s
+            if late or peer.incarnation != incarnation:
+                self._client.remove_pending_request(future)
+                if late:
+                    raise CallError(f"{what} was not set within {deadline_s:g} s")
+                raise PeerRestartedError(f"{self._peer} restarted while {name} was set")
+            await pause(self._node, POLL_S)
+        result = future.result().results[0]
+        if not result.successful:
+            raise CallError(f"{self._peer} refuses {name} = {value!r}: {result.reason}")
+
+
+def _request(name: str, value: str | int) -> SetParameters.Request:
+    if isinstance(value, str):
+        wire = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+    else:
+        wire = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
+    return SetParameters.Request(parameters=[Parameter(name=name, value=wire)])

@@ -36,10 +36,23 @@ NODES: tuple[NodeEntry, ...] = (
     NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder",), imports_torch=True),
     NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source",)),
     NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",)),
-    NodeEntry("preference", "rapl_ros.preference_node", ("run_folder",), imports_torch=True),
+    NodeEntry("preference", "rapl_ros.preference_node", ("run_folder", "seed"), imports_torch=True),
     NodeEntry("simulated_human", "rapl_ros.simulated_human_node", ("run_folder", "seed")),
-    NodeEntry("demonstrator", "rapl_ros.demonstrator_node", ("task",)),
-    NodeEntry("learner", "rapl_ros.learner_node", ("run_folder", "task"), imports_torch=True),
+    NodeEntry("demonstrator", "rapl_ros.demonstrator_node"),
+    NodeEntry(
+        "learner",
+        "rapl_ros.learner_node",
+        (
+            "run_folder",
+            "seed",
+            "reward_deadline_s",
+            "schedule.random_steps",
+            "schedule.checkpoint_every",
+            "schedule.evaluate_every",
+            "schedule.evaluate_episodes",
+        ),
+        imports_torch=True,
+    ),
     NodeEntry("conductor", "rapl_ros.conductor_node", ("run_folder",), ends=True),
 )
 
@@ -53,6 +66,12 @@ def run_parameters(config: RunConfig, folder: Path) -> dict[str, ParameterValue]
         "run_folder": str(folder.resolve()),
         "clock_file": str((folder / "clock_ns").resolve()),
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",
+        # Longer than ot_reward waits for an encoder that has fallen behind.
+        "reward_deadline_s": 60.0,
+        "schedule.random_steps": config.random_steps,
+        "schedule.checkpoint_every": config.checkpoint_every,
+        "schedule.evaluate_every": config.evaluate_every,
+        "schedule.evaluate_episodes": config.evaluate_episodes,
     }
 
 

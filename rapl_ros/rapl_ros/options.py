@@ -36,6 +36,8 @@ QUICK = {
     "pool_episodes": 60,
     "triplets": 40,
     "steps": 3_000,
+    "random_steps": 500,
+    "checkpoint_every": 1_000,
     "evaluate_every": 1_500,
     "evaluate_episodes": 8,
     "final_episodes": 12,

@@ -87,7 +87,7 @@ class ProgressMeter:
     def ended(self, status: StageStatus, detail: str = "") -> StageProgress:
         """Return that the stage is done or failed, and what it found or why."""
         last = self._last
-        done = last.total if status == "done" else last.done
+        done = max(last.total, last.done) if status == "done" else last.done
         return StageProgress(
             self._stage,
             self._index,

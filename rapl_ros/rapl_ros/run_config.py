@@ -29,6 +29,10 @@ class RunConfig:
     triplets: int = 150
     steps: int = 60_000
     """World steps of learning, all worlds together."""
+    random_steps: int = 2_000
+    """World steps with random actions before the first gradient step."""
+    checkpoint_every: int = 5_000
+    """World steps between two checkpoints: what a killed learner loses at most."""
     evaluate_every: int = 5_000
     """World steps between two evaluations while learning."""
     evaluate_episodes: int = 20

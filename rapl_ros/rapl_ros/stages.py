@@ -11,18 +11,18 @@ from typing import Any, Protocol
 
 from rapl_msgs.action import Align, Collect, Evaluate, Train
 from rapl_msgs.srv import ListRankings
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 
 from rapl_core.episodes import EpisodeStore
 from rapl_ros import topics
 from rapl_ros.calls import CallError, call, pause
-from rapl_ros.goals import ActionPort
+from rapl_ros.goals import ActionPort, ParameterPort
 from rapl_ros.node import RaplNode
 from rapl_ros.run_config import RunConfig
 
 SWAP_DEADLINE_S = 180.0
 """For an encoder to load and to embed its experts; torch alone takes seconds to import."""
+HUMAN_DEADLINE_S = 30.0
+"""For the simulated human to appear, or to answer."""
 DRAWN_NOISE = -1.0
 """Asks the demonstrator to draw each episode's noise."""
 
@@ -62,26 +62,8 @@ class StageContext:
         self.rankings = node.create_client(
             ListRankings, topics.of_node(topics.LIST_RANKINGS, topics.PREFERENCE)
         )
-        self._setters = {
-            peer: node.create_client(SetParameters, f"{peer}/set_parameters")
-            for peer in (topics.ENCODER, topics.SIMULATED_HUMAN)
-        }
-
-    async def set_parameter(self, peer: str, name: str, value: str | int) -> None:
-        """Set a parameter of another node.
-
-        :raises CallError: if it refuses or does not answer.
-        """
-        kind = ParameterType.PARAMETER_STRING
-        wire = (
-            ParameterValue(type=kind, string_value=value)
-            if isinstance(value, str)
-            else (ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value))
-        )
-        request = SetParameters.Request(parameters=[Parameter(name=name, value=wire)])
-        response = await call(self.node, self._setters[peer], request, SWAP_DEADLINE_S)
-        if not response.results[0].successful:
-            raise CallError(f"{peer} refuses {name} = {value!r}: {response.results[0].reason}")
+        self.encoder = ParameterPort(node, topics.ENCODER, say)
+        self.human = ParameterPort(node, topics.SIMULATED_HUMAN, say)
 
 
 @dataclass(frozen=True)
@@ -125,8 +107,12 @@ async def collect(context: StageContext) -> Result:
 async def rank(context: StageContext) -> Result:
     """Wait until the human, simulated or not, has given the rankings wanted."""
     wanted = context.run.triplets
-    await context.set_parameter(topics.SIMULATED_HUMAN, "rankings", wanted)
+    human = context.node.peers[topics.SIMULATED_HUMAN]
+    asked = ""
     while True:
+        if human.incarnation != asked:  # a human that restarted has forgotten how many are wanted
+            await context.human.set("rankings", wanted, HUMAN_DEADLINE_S)
+            asked = human.incarnation
         response = await call(context.node, context.rankings, ListRankings.Request(limit=1))
         context.show(min(response.total, wanted), wanted, "rankings")
         if response.total >= wanted:
@@ -137,21 +123,23 @@ async def rank(context: StageContext) -> Result:
 async def align(context: StageContext) -> Result:
     """Train the encoder from the rankings and put it to work."""
     run = context.run
-    name = run.reward_encoder
+    epochs = 0
+
+    def show(feedback: Align.Feedback) -> None:
+        nonlocal epochs
+        epochs = feedback.epochs
+        accuracy = feedback.held_out_accuracy
+        known = f"held-out accuracy {accuracy:.0%}" if math.isfinite(accuracy) else ""
+        context.show(feedback.epoch, feedback.epochs, "epochs", known)
+
+    def show_reading() -> None:
+        if not epochs:  # it reads the videos' features first, and says so on its heartbeat
+            context.show(0, 0, "epochs", context.node.peers[topics.PREFERENCE].detail)
+
     goal = Align.Goal(encoder=run.reward, preset=run.preset, triplets=run.triplets, seed=run.seed)
-    result = await context.align.run(
-        goal,
-        lambda feedback: context.show(
-            feedback.epoch,
-            feedback.epochs,
-            "epochs",
-            f"held-out accuracy {feedback.held_out_accuracy:.0%}"
-            if math.isfinite(feedback.held_out_accuracy)
-            else "",
-        ),
-    )
+    result = await context.align.run(goal, show, on_wait=show_reading)
     _check(result, "align")
-    await context.set_parameter(topics.ENCODER, "encoder", name)
+    await context.encoder.set("encoder", run.reward_encoder, SWAP_DEADLINE_S)
     return {
         "held_out_accuracy": float(result.held_out_accuracy),
         "triplets": int(result.triplets),
@@ -248,7 +236,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         "align",
         align,
-        lambda r: f"{r['held_out_accuracy']:.0%} of held-out triplets ordered right",
+        lambda r: _accuracy_words(r["held_out_accuracy"]),
         is_needed=lambda run: run.uses_rankings,
     ),
     Stage(
@@ -270,6 +258,11 @@ def _pool(folder: Path) -> list[str]:
 def _number(episode_id: str) -> int:
     """Number within its world: ids are ``<purpose>-s<seed>-w<world>-<number>-<token>``."""
     return int(episode_id.split("-")[3])
+
+
+def _accuracy_words(accuracy: float) -> str:
+    known = math.isfinite(accuracy)
+    return f"{accuracy:.0%} of held-out triplets ordered right" if known else "nothing to learn"
 
 
 def _check(result: Any, what: str) -> None:

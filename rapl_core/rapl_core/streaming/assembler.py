@@ -1,5 +1,6 @@
 """Join states and embeddings into episodes, by the header of the image that both name."""
 
+import math
 from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass, field
@@ -21,7 +22,10 @@ class AssemblerLimits:
     """How long and how much the assembler waits for."""
 
     embedding_deadline_s: float = 5.0
-    """Wall time after an episode's last state in which its embeddings must arrive."""
+    """Wall time without any embedding after which those of an ended episode are given up. An
+    encoder that has fallen behind and works through its queue is not silent."""
+    embedding_limit_s: float = 45.0
+    """Wall time after an episode's last state in which its embeddings must arrive in any case."""
     state_deadline_s: float = 5.0
     """Wall time without any state after which an unfinished episode has stopped. A simulator in
     lockstep repeats a pending state every second, so waiting for an action is no stop."""
@@ -61,6 +65,7 @@ class EpisodeAssembler:
         """States of episodes that already have their outcome."""
         self.evicted_embeddings = 0
         """Embeddings no state ever named."""
+        self._embedding_s = -math.inf
         self._open: dict[str, _OpenEpisode] = {}
         self._closed: OrderedDict[str, None] = OrderedDict()
         self._awaited: dict[Hashable, tuple[str, int]] = {}
@@ -93,8 +98,11 @@ class EpisodeAssembler:
         problem = self._await_embedding(episode, state)
         return outcomes + self._settle(episode, problem)
 
-    def add_embedding(self, embedding: EmbeddingSample) -> list[Outcome]:
+    def add_embedding(
+        self, embedding: EmbeddingSample, now_s: float = -math.inf
+    ) -> list[Outcome]:
         """Take an embedding; of two for the same image the first counts."""
+        self._embedding_s = max(self._embedding_s, now_s)
         place = self._awaited.pop(embedding.image, None)
         if place is None:
             self._spare.setdefault(embedding.image, embedding)
@@ -129,7 +137,13 @@ class EpisodeAssembler:
                         f"no state for {self.limits.state_deadline_s:g} s"
                     )
                     outcomes.append(self._drop(episode, reason))
-            elif now_s - episode.ended_s > self.limits.embedding_deadline_s:
+                continue
+            waited_s = now_s - episode.ended_s
+            silent_s = now_s - max(episode.ended_s, self._embedding_s)
+            if (
+                silent_s > self.limits.embedding_deadline_s
+                or waited_s > self.limits.embedding_limit_s
+            ):
                 outcomes.append(self._drop(episode, self._what_is_missing(episode)))
         return outcomes
 

@@ -46,7 +46,10 @@ class DeskConfig:
     human_reward_scale: float = 1.0
     """Factor on r*, only with ``human_reward``."""
     embedding_deadline_s: float = 5.0
-    """Seconds of wall time after the last state in which embeddings and experts must arrive."""
+    """Seconds of wall time without any embedding after which those of an ended episode are given
+    up, and in which the experts of a new encoder must arrive."""
+    embedding_limit_s: float = 45.0
+    """Seconds of wall time after the last state in which embeddings must arrive in any case."""
     state_deadline_s: float = 5.0
     """Seconds of wall time without any state after which an episode has stopped."""
 
@@ -61,7 +64,11 @@ class RewardDesk:
         self.config = config
         self.assembler = EpisodeAssembler(
             needs_embeddings=config.source == "embedding",
-            limits=AssemblerLimits(config.embedding_deadline_s, config.state_deadline_s),
+            limits=AssemblerLimits(
+                embedding_deadline_s=config.embedding_deadline_s,
+                embedding_limit_s=config.embedding_limit_s,
+                state_deadline_s=config.state_deadline_s,
+            ),
         )
         self.rewarded = 0
         self.dropped = 0
@@ -80,7 +87,7 @@ class RewardDesk:
 
     def add_embedding(self, embedding: EmbeddingSample, now_s: float) -> list[RewardDecision]:
         """Take an embedding."""
-        return self._decide(self.assembler.add_embedding(embedding), now_s)
+        return self._decide(self.assembler.add_embedding(embedding, now_s), now_s)
 
     def spoil(self, image: Hashable, reason: str, now_s: float) -> list[RewardDecision]:
         """The image has no usable embedding."""

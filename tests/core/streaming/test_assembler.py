@@ -66,6 +66,23 @@ def test_a_missing_embedding_drops_the_episode_after_its_deadline_and_names_the_
     assert assembler.expire(99.0) == []
 
 
+def test_an_encoder_that_works_through_its_queue_is_waited_for_up_to_a_limit() -> None:
+    limits = AssemblerLimits(embedding_deadline_s=3.0, embedding_limit_s=20.0)
+    assembler = EpisodeAssembler(limits=limits)
+    feed(assembler, states("e", 4))
+    for now_s in range(2, 20, 2):
+        assembler.add_embedding(embeddings(f"other-{now_s}", 1)[1], float(now_s))
+        assert assembler.expire(now_s + 1.0) == []
+    assembler.add_embedding(embeddings("other", 1)[1], 20.0)
+    assert "no encoder at work" in only_drop(assembler.expire(20.1)).reason
+
+    assembler = EpisodeAssembler(limits=limits)
+    feed(assembler, states("e", 4))
+    assembler.add_embedding(embeddings("e", 4)[1], 4.0)
+    assert assembler.expire(6.9) == []
+    assert "(3 of 4 missing)" in only_drop(assembler.expire(7.1)).reason
+
+
 def test_no_embedding_at_all_says_that_no_encoder_is_at_work() -> None:
     assembler = EpisodeAssembler()
     feed(assembler, states("e", 4))
