@@ -1,77 +1,95 @@
-"""Layers of a network run forwards and backwards by hand, in memory that is kept.
+"""Layers of a network run forwards and backwards by hand.
 
-Half of a small network's time on a CPU is not matrix products but the bookkeeping of automatic
-differentiation and fresh memory for each result. Both are absent here.
+Automatic differentiation costs a small network on a CPU nearly as much as its arithmetic, and
+torch's own matrix products go through MKL, which is half as quick as oneDNN on AMD's processors
+(256 x 256 x 256 in float32: 0.32 ms against 0.17 ms).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
 
 from rapl_core.errors import ShapeError
 
+_WIDE = 16
+"""Products narrower than this do not repay oneDNN's preparations."""
+
+Product = Callable[[Tensor, Tensor, Tensor | None, bool], Tensor]
+"""x (B, in), w (out, in), bias (out,), whether to rectify -> (B, out)."""
+
+
+def torch_product(x: Tensor, w: Tensor, bias: Tensor | None, rectify: bool) -> Tensor:
+    """x w^T + bias by torch's default library."""
+    result = x @ w.t() if bias is None else torch.addmm(bias, x, w.t())
+    return result.relu_() if rectify else result
+
+
+def onednn_product(x: Tensor, w: Tensor, bias: Tensor | None, rectify: bool) -> Tensor:
+    """x w^T + bias by oneDNN."""
+    if min(*x.shape, *w.shape) < _WIDE:
+        return torch_product(x, w, bias, rectify)
+    result: Tensor = torch.ops.mkldnn._linear_pointwise(
+        x, w, bias, "relu" if rectify else "none", [], ""
+    )
+    return result
+
+
+def best_product() -> Product:
+    """oneDNN where torch has it, else torch's default; equal up to rounding."""
+    has_onednn = torch.backends.mkldnn.is_available() and hasattr(  # type: ignore[no-untyped-call]
+        torch.ops.mkldnn, "_linear_pointwise"
+    )
+    return onednn_product if has_onednn else torch_product
+
 
 class DenseStack:
     """Linear layers, each followed by ReLU but, if ``linear_end``, the last.
 
-    Works on the parameters of the layers given and writes to their ``grad``. What it returns is
-    overwritten by its next call.
+    Works on the parameters of the layers given and writes to their ``grad``.
     """
 
-    def __init__(self, layers: Sequence[nn.Linear], linear_end: bool) -> None:
+    def __init__(
+        self, layers: Sequence[nn.Linear], linear_end: bool, product: Product | None = None
+    ) -> None:
         self._layers = tuple(layers)
         self._rectified = [True] * len(layers)
         self._rectified[-1] = not linear_end
-        self._results: list[Tensor] = []
-        self._gradients: list[Tensor] = []
-        for layer in layers:
-            layer.weight.grad = torch.zeros_like(layer.weight)
-            layer.bias.grad = torch.zeros_like(layer.bias)
+        self._values: list[Tensor] = []
+        self._product = product or best_product()
 
     @torch.no_grad()
     def forward(self, inputs: Tensor) -> Tensor:
         """Return the outputs (B, out) of inputs (B, in)."""
-        self._reserve(len(inputs))
-        self._inputs = values = inputs
-        for layer, result, rectified in zip(
-            self._layers, self._results, self._rectified, strict=True
-        ):
-            torch.addmm(layer.bias, values, layer.weight.t(), out=result)
-            values = result.relu_() if rectified else result
-        return values
+        self._values = [inputs]
+        for layer, rectified in zip(self._layers, self._rectified, strict=True):
+            self._values.append(
+                self._product(self._values[-1], layer.weight, layer.bias, rectified)
+            )
+        return self._values[-1]
 
     @torch.no_grad()
     def backward(self, gradient: Tensor, weights: bool, first_input: int | None) -> Tensor | None:
         """Propagate the gradient of a loss by the outputs of the last :meth:`forward`.
 
-        :param gradient: (B, out); overwritten where the last layer is rectified.
-        :param weights: write the gradients of the layers' weights.
+        :param gradient: (B, out).
+        :param weights: set the gradients of the layers' weights.
         :param first_input: return the gradient by the inputs from this one on, (B, in - first);
             None: not needed.
         """
         for number in range(len(self._layers) - 1, -1, -1):
-            layer, result = self._layers[number], self._results[number]
+            layer, values = self._layers[number], self._values[number]
             if self._rectified[number]:
-                torch.ops.aten.threshold_backward.grad_input(
-                    gradient, result, 0.0, grad_input=gradient
-                )
+                result = self._values[number + 1]
+                gradient = torch.ops.aten.threshold_backward(gradient, result, 0.0)
             if weights:
-                values = self._results[number - 1] if number else self._inputs
-                assert layer.weight.grad is not None and layer.bias.grad is not None
-                torch.mm(gradient.t(), values, out=layer.weight.grad)
-                torch.sum(gradient, 0, out=layer.bias.grad)
+                layer.weight.grad = self._product(gradient.t(), values.t(), None, False)
+                layer.bias.grad = gradient.sum(0)
             if number:
-                gradient = torch.mm(gradient, layer.weight, out=self._gradients[number - 1])
+                gradient = self._product(gradient, layer.weight.t(), None, False)
         if first_input is None:
             return None
         return gradient @ self._layers[0].weight[:, first_input:]
-
-    def _reserve(self, batch: int) -> None:
-        if self._results and len(self._results[0]) == batch:
-            return
-        self._results = [torch.empty(batch, layer.out_features) for layer in self._layers]
-        self._gradients = [torch.empty(batch, layer.out_features) for layer in self._layers[:-1]]
 
 
 def linear_layers(network: nn.Module) -> list[nn.Linear]:

@@ -74,8 +74,8 @@ class GradientStep:
     @torch.no_grad()
     def __call__(self, batch: ReplayBufferSamples) -> StepLosses:
         """Step the entropy coefficient, the critics, the actor, then the target critics."""
-        # The actor's next forward run would overwrite what its backward run needs, so the
-        # gradient's sample comes last. The noise is drawn in stable-baselines3's order.
+        # The actor's backward run needs what its last forward run left, so the sample that has a
+        # gradient comes last. The noise is drawn in stable-baselines3's order.
         shape = batch.actions.shape
         noise = torch.empty(shape).normal_(generator=self._noise)
         next_noise = torch.empty(shape).normal_(generator=self._noise)
@@ -156,6 +156,6 @@ class GradientStep:
         return (coefficient * sample.log_prob - least).mean()
 
 
-def _linear(layer: nn.Module) -> nn.Linear:
+def _linear(layer: object) -> nn.Linear:
     assert isinstance(layer, nn.Linear)
     return layer
