@@ -49,9 +49,9 @@ def _list() -> None:
 
 
 def _report(run: Path, oracle: Path | None) -> None:
-    from rapl_core.analysis.curves import read_curve
     from rapl_core.analysis.record import read_run
     from rapl_core.analysis.report import write_report
+    from rapl_core.policies.learning_curve import LearningCurve
     from rapl_core.representations import make_encoder
 
     settings = read_run(run).settings
@@ -59,10 +59,7 @@ def _report(run: Path, oracle: Path | None) -> None:
     encoder = None
     if reward != "ground_truth":
         encoder = make_encoder(settings.get("encoder") or reward, run)
-    curve = None
-    if oracle is not None and (curve := read_curve(oracle)) is None:
-        raise RaplError(f"there is no file {oracle}")
-    print(write_report(run, encoder, curve))
+    print(write_report(run, encoder, LearningCurve.load(oracle) if oracle else None))
 
 
 if __name__ == "__main__":

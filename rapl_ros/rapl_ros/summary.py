@@ -1,14 +1,15 @@
 """The last lines of a run: its stages and their times, what came out, where things lie."""
 
+import json
 from pathlib import Path
 
-from rapl_core.analysis.curves import CURVE_FILE, read_curve
 from rapl_core.analysis.stages import StageRecord, read_stages
 from rapl_ros.console import clock, table
+from rapl_ros.run_config import RESULTS_FILE
 
 PLACES = (
     ("report", "report.html"),
-    ("results", "results.json"),
+    ("results", RESULTS_FILE),
     ("settings", "config.yaml"),
     ("videos", "episodes"),
     ("rankings", "rankings.sqlite"),
@@ -27,10 +28,10 @@ def summary(folder: Path) -> str:
     accuracy = _result(stages, "align", "held_out_accuracy")
     if accuracy is not None:
         lines.append(f"Triplet accuracy, held out: {accuracy:.0%}")
-    curve = read_curve(folder / CURVE_FILE)
-    if curve is not None and curve.points:
+    by_step = _by_step(folder)
+    if by_step:
         lines.append("Success by step")
-        lines.append(table([(f"{p.steps}", f"{p.success_rate:.0%}") for p in curve.points]))
+        lines.append(table([(f"{steps}", f"{rate:.0%}") for steps, rate in by_step]))
     success = _result(stages, "evaluate", "success_rate")
     if success is not None:
         episodes = _result(stages, "evaluate", "episodes")
@@ -39,6 +40,15 @@ def summary(folder: Path) -> str:
     if found:
         lines += ["Where things lie", table(found)]
     return "\n".join(lines)
+
+
+def _by_step(folder: Path) -> list[tuple[int, float]]:
+    """Steps and success rate of each evaluation while learning, as far as results.json has them."""
+    try:
+        points = json.loads((folder / RESULTS_FILE).read_text())["success"]["by_step"]
+    except FileNotFoundError:
+        return []
+    return [(p["steps"], p["success_rate"]) for p in points if p["success_rate"] is not None]
 
 
 def _stage_words(stage: StageRecord) -> str:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from rapl_core.analysis import provenance
-from rapl_core.analysis.curves import SuccessCurve
 from rapl_core.analysis.measures import arm_only_share
 from rapl_core.analysis.record import RunRecord, pool_composition
 from rapl_core.analysis.scoring import (
@@ -18,6 +17,7 @@ from rapl_core.analysis.scoring import (
     Scorer,
     choose_examples,
 )
+from rapl_core.policies.learning_curve import LearningCurve
 
 MEASURED_VIDEOS = 100
 """Videos of the pool that the reward is compared with the human on, as in the paper."""
@@ -66,7 +66,7 @@ def find(record: RunRecord, scorer: Scorer, measured: int = MEASURED_VIDEOS) -> 
 def results(
     record: RunRecord,
     findings: Findings,
-    curve: SuccessCurve | None,
+    curve: LearningCurve | None,
     encoder: RewardingEncoder | None,
 ) -> dict[str, Any]:
     """Return what ``results.json`` holds; what is unknown is null."""
@@ -79,9 +79,9 @@ def results(
             "success": {
                 "final": final.get("success_rate"),
                 "final_episodes": final.get("episodes"),
-                "mean_of_last_three": curve.last(3) if curve else None,
+                "mean_of_last_three": curve.last(3) if curve and len(curve.points) >= 3 else None,
                 "human_return": final.get("human_return_mean"),
-                "by_step": [asdict(point) for point in curve.points] if curve else [],
+                "by_step": curve.rows() if curve else [],
             },
             "triplets": len(record.triplets()),
             "triplet_accuracy_held_out": align.get("held_out_accuracy"),

@@ -12,11 +12,12 @@ import numpy as np
 import yaml
 
 from rapl_core.analysis import figures, provenance
-from rapl_core.analysis.curves import CURVE_FILE, SuccessCurve, oracle_curve, read_curve
+from rapl_core.analysis.curves import curve_of, oracle_curve
 from rapl_core.analysis.findings import Findings, find, results
 from rapl_core.analysis.record import RunRecord, pool_composition, read_run
 from rapl_core.analysis.scoring import RewardingEncoder, ScoredVideo, Scorer
 from rapl_core.analysis.strips import picture_uri, strip
+from rapl_core.policies.learning_curve import LearningCurve
 
 REPORT_FILE = "report.html"
 RESULTS_FILE = "results.json"
@@ -30,7 +31,7 @@ REWARD_WORDS = {
 
 
 def write_report(
-    folder: Path, encoder: RewardingEncoder | None, oracle: SuccessCurve | None = None
+    folder: Path, encoder: RewardingEncoder | None, oracle: LearningCurve | None = None
 ) -> Path:
     """Write ``report.html`` and ``results.json`` of the run in ``folder``.
 
@@ -43,7 +44,7 @@ def write_report(
     experts = (encoder.expert_ids or record.expert_ids()) if encoder else ()
     scorer = Scorer(record.store, encoder, experts)
     findings = find(record, scorer)
-    curve = read_curve(folder / CURVE_FILE)
+    curve = curve_of(folder)
     found = results(record, findings, curve, encoder)
     page = _render(record, findings, scorer, curve, oracle or oracle_curve(folder), found)
     path = _write(folder / REPORT_FILE, page)
@@ -55,8 +56,8 @@ def _render(
     record: RunRecord,
     findings: Findings,
     scorer: Scorer,
-    curve: SuccessCurve | None,
-    oracle: SuccessCurve | None,
+    curve: LearningCurve | None,
+    oracle: LearningCurve | None,
     found: Mapping[str, Any],
 ) -> str:
     environment = jinja2.Environment(
@@ -86,7 +87,7 @@ def _render(
         else "",
         pool_caption="Preference is the Bradley-Terry strength from the rankings alone (mean 0). "
         "Success is measured, and used neither for the rankings nor for learning.",
-        stages=[_stage_row(stage) for stage in record.stages],
+        stages=[_stage_row(stage) for stage in record.stages if stage.name != "report"],
         provenance=_provenance(found),
         configuration=yaml.safe_dump(dict(record.config), sort_keys=False, allow_unicode=True),
     )
@@ -106,8 +107,11 @@ def _facts(record: RunRecord, found: Mapping[str, Any]) -> list[tuple[str, str]]
     success = found["success"]
     facts = [
         (_percent(success["final"]), f"success over {success['final_episodes'] or 0} episodes"),
-        (_percent(success["mean_of_last_three"]), "success, mean of the last three evaluations"),
     ]
+    if success["mean_of_last_three"] is not None:
+        facts.append(
+            (_percent(success["mean_of_last_three"]), "success, mean of the last three evaluations")
+        )
     if record.rankings:
         facts.append((str(found["triplets"]), f"triplets from {len(record.pool)} videos"))
     if found["triplet_accuracy_held_out"] is not None:
@@ -118,7 +122,7 @@ def _facts(record: RunRecord, found: Mapping[str, Any]) -> list[tuple[str, str]]
 
 
 def _success(
-    curve: SuccessCurve | None, oracle: SuccessCurve | None, reward: str
+    curve: LearningCurve | None, oracle: LearningCurve | None, reward: str
 ) -> dict[str, str]:
     named = []
     for label, what, dashed in ((reward, curve, False), ("oracle (r* as reward)", oracle, True)):

@@ -37,6 +37,10 @@ class RewardingEncoder(Protocol):
     def reward(self, z: NDArray[Any], experts: Sequence[EmbeddedEpisode]) -> RewardTrace: ...
 
 
+SHOWN_EPSILON = 0.03
+"""Share of the mean cost, for the plan that is drawn in place of a uniform one."""
+
+
 @dataclass(frozen=True)
 class ScoredVideo:
     """A video and what the reward says of it."""
@@ -106,16 +110,14 @@ class Scorer:
     def plan(self, video: ScoredVideo) -> tuple[NDArray[np.float64], str, str]:
         """Return the coupling of a video with its closest expert.
 
-        A uniform coupling shows nothing, so the exact one stands in for it.
+        A uniform coupling shows nothing, so an entropic one stands in for it.
 
-        :return: (T, S) plan, id of the expert, solver that found it.
+        :return: (T, S) plan, id of the expert, and in words how it was found.
         """
         encoder = self._encoder
         if encoder is None or video.embedding is None or not self.has_plans:
             raise RaplError("this reward is not one of transport: it has no plan")
         config = encoder.transport
-        if config.solver == "uniform":
-            config = TransportConfig(cost=config.cost, solver="exact")
         x = torch.from_numpy(video.embedding.values.astype(np.float64))
         found = []
         for expert in self.experts:
@@ -124,9 +126,19 @@ class Scorer:
             cost = pairwise_cost(
                 x, torch.from_numpy(expert.values.astype(np.float64)), config.cost
             )  # (T, S)
-            found.append((solve(cost, config), expert.episode_id))
+            if config.solver == "uniform":
+                epsilon = SHOWN_EPSILON * float(cost.mean())
+                shown = TransportConfig(cost=config.cost, solver="sinkhorn", epsilon=epsilon)
+            else:
+                shown = config
+            found.append((solve(cost, shown), expert.episode_id))
         result, expert_id = min(found, key=lambda f: float(f[0].cost))
-        return result.plan.numpy(), expert_id, config.solver
+        words = f"{config.cost} cost, solver {config.solver}"
+        if config.solver == "uniform":
+            words += f" (shown: sinkhorn with epsilon at {SHOWN_EPSILON:.0%} of the mean cost)"
+        elif config.solver == "sinkhorn":
+            words += f" with epsilon {config.epsilon:g}"
+        return result.plan.numpy(), expert_id, words
 
     def agreement(self, episode_ids: Sequence[str]) -> Agreement:
         """Measure the reward against r* on these videos."""
