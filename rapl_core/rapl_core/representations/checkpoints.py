@@ -28,13 +28,14 @@ def save_encoder(encoder: Encoder, folder: Path, report: dict[str, Any] | None =
     The backbone's own weights are referred to by their hash, not copied.
 
     :param folder: the checkpoint's own folder, e.g. from :func:`checkpoint_folder`. If it exists
-        with this very version it is left as it is.
+        with this very version it only becomes the newest.
     :param report: how the training went; written beside, not part of the encoder's identity.
     :raises CorruptFileError: if the folder cannot be written or is another encoder's.
     """
     folder = Path(folder)
     if folder.exists():
         if _version_in(folder) == encoder.info.version:
+            (folder / CARD_FILE).touch()
             return folder
         raise CorruptFileError(f"{folder} exists and is not encoder {encoder.info.version}")
     beside = folder.with_name(f".{folder.name}.{os.getpid()}.partial")

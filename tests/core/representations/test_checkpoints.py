@@ -1,6 +1,7 @@
 """Checkpoints: the same encoder comes back, and damage of every kind is refused."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -51,10 +52,12 @@ def test_the_backbone_is_not_copied(saved):
     assert sum(file.stat().st_size for file in saved.iterdir()) < 1_000_000
 
 
-def test_saving_again_changes_nothing_and_another_encoder_is_not_overwritten(saved, rapl, rlhf):
-    before = {file.name: file.stat().st_mtime_ns for file in saved.iterdir()}
+def test_saving_again_makes_it_the_newest_and_another_encoder_is_not_overwritten(saved, rapl, rlhf):
+    before = {file.name: file.read_bytes() for file in saved.iterdir()}
+    os.utime(saved / "card.json", (1000, 1000))
     save_encoder(rapl[0], saved)
-    assert before == {file.name: file.stat().st_mtime_ns for file in saved.iterdir()}
+    assert before == {file.name: file.read_bytes() for file in saved.iterdir()}
+    assert (saved / "card.json").stat().st_mtime > 1000
     with pytest.raises(CorruptFileError, match="exists and is not encoder"):
         save_encoder(rlhf[0], saved)
 
