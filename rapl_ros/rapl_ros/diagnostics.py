@@ -60,10 +60,10 @@ class Diagnostics:
         level = max((level for level, _ in self._conditions.values()), default=OK)
         values = [KeyValue(key=k, value=message) for k, (_, message) in self._conditions.items()]
         values += [KeyValue(key=key, value=str(n)) for key, n in sorted(self.counters.items())]
-        values += [
-            KeyValue(key=f"{purpose}_s", value=f"{seconds:.3f}")
-            for purpose, seconds in sorted(self.shares.seconds.items())
-        ]
+        for purpose, seconds in sorted(self.shares.seconds.items()):
+            processor_s = self.shares.processor_s[purpose]
+            values.append(KeyValue(key=f"{purpose}_s", value=f"{seconds:.3f}"))
+            values.append(KeyValue(key=f"{purpose}_processor_s", value=f"{processor_s:.3f}"))
         status = DiagnosticStatus(
             level=level,
             name=name,

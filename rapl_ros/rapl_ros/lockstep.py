@@ -195,7 +195,7 @@ class Lockstep:
     ) -> Scene:
         picture = None
         if self._render:
-            with self._shares.of("rendering"):
+            with self._shares.of("rendering", whole_process=True):
                 picture = self._simulation.render(world.index)
         world.scene = Scene(
             instant=Instant(
