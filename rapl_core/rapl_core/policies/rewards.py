@@ -14,8 +14,8 @@ if TYPE_CHECKING:  # the learner node does without the backbones
     from rapl_core.representations.encoder import Encoder
 
 MEAN_PER_STEP = -2.0
-"""What a scale brings the reward of random episodes to: SAC's entropy term then neither
-drowns it nor vanishes beside it."""
+"""What a scale brings the mean reward of a step in the worse half of the videos to: SAC's
+entropy term then neither drowns it nor vanishes beside it."""
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,18 @@ class EncoderReward:
 def fit_scale(
     unscaled: Iterable[NDArray[np.float64]], mean_per_step: float = MEAN_PER_STEP
 ) -> float:
-    """Return the scale that brings rewards of random episodes to ``mean_per_step`` on average.
+    """Return the scale with which the worse half of some videos earn ``mean_per_step``.
 
-    :param unscaled: rewards (T,) of some episodes with scale 1; negative on average.
-    :raises ShapeError: if there are none, or they are not negative on average.
+    The rule by which encoders get their scale, so that ``ground_truth`` is compared fairly.
+    Worse is judged by the reward itself.
+
+    :param unscaled: rewards (T,) of each video with scale 1.
+    :raises ShapeError: if there are none, or the worse half's are not negative on average.
     """
-    values = np.concatenate([np.zeros(0), *unscaled])
-    mean = float(values.mean()) if values.size else float("nan")
-    if not mean < 0:
-        raise ShapeError(f"rewards of {values.size} steps have a mean of {mean}, expected below 0")
-    return mean_per_step / mean
+    means = np.sort([float(np.mean(values)) for values in unscaled])
+    worse = float(means[: max(1, len(means) // 2)].mean()) if len(means) else float("nan")
+    if not worse < 0:
+        raise ShapeError(
+            f"the worse half of {len(means)} videos has a mean reward of {worse}, expected below 0"
+        )
+    return mean_per_step / worse

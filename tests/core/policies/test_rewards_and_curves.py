@@ -17,7 +17,8 @@ from rapl_core.policies import (
     fit_scale,
     summarise_evaluation,
 )
-from rapl_core.types import Episode
+from rapl_core.representations.reward_scale import fit_reward_scale
+from rapl_core.types import Episode, RewardTrace
 
 
 def episode(human_rewards: list[float] | None) -> Episode:
@@ -43,11 +44,18 @@ def test_ground_truth_is_the_scaled_reward_of_the_states_arrived_in() -> None:
         reward(episode(None))
 
 
-def test_the_scale_brings_random_episodes_to_the_agreed_mean() -> None:
+def test_the_scale_follows_the_rule_of_the_encoders() -> None:
     rng = np.random.default_rng(0)
-    unscaled = [-rng.uniform(0, 1e-3, 50) for _ in range(4)]
-    scale = fit_scale(unscaled)
-    assert np.mean([scale * values for values in unscaled]) == pytest.approx(-2.0)
+    unscaled = {f"v{i}": -rng.uniform(0, 1e-3 * (i + 1), 50) for i in range(9)}
+
+    def trace(embedding: np.ndarray) -> RewardTrace:
+        return RewardTrace(embedding[:, 0].astype(np.float64), "", 0.0, True, 0, 0.0, 1.0)
+
+    embeddings = {name: values[:, None].astype(np.float32) for name, values in unscaled.items()}
+    scale = fit_scale(unscaled.values())
+    assert scale == pytest.approx(fit_reward_scale(embeddings, trace, rng), rel=1e-5)
+    worse = sorted(values.mean() for values in unscaled.values())[:4]
+    assert scale * np.mean(worse) == pytest.approx(-2.0)
     for bad in ([], [np.zeros(5)], [np.ones(5)]):
         with pytest.raises(ShapeError, match="expected below 0"):
             fit_scale(bad)
