@@ -12,11 +12,10 @@ setup(
     python_requires=">=3.11",
     package_dir={"": "."},  # an editable install is then one .pth line, not an import hook
     packages=find_packages(include=["rapl_core", "rapl_core.*"]),
-    include_package_data=True,
     package_data={
         "rapl_core": ["py.typed"],
+        "rapl_core.analysis": ["*.html"],
         "rapl_core.episodes": ["messages/*.msg"],
-        "": ["*.yaml", "*.json", "*.xml", "*.html"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/rapl_core"]),
