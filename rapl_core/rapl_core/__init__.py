@@ -1,4 +1,4 @@
-"""Representation-aligned preference-based learning: algorithms, worlds and learning, without ROS."""
+"""Representation-aligned preference-based learning: algorithms, worlds, learning; knows no ROS."""
 
 import os
 

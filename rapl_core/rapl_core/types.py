@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ def check_episode_id(episode_id: str) -> str:
     return episode_id
 
 
-def check_shape(name: str, array: NDArray, shape: tuple[int | None, ...]) -> None:
+def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -> None:
     """Raise ShapeError unless ``array`` has ``shape`` (None: any size)."""
     if len(array.shape) != len(shape) or any(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
