@@ -1,6 +1,7 @@
 """The tables of a ranking store and how its file is opened."""
 
 import sqlite3
+import time
 from pathlib import Path
 
 from rapl_core.errors import CorruptFileError, RankingError
@@ -88,18 +89,28 @@ def open_database(path: Path) -> sqlite3.Connection:
         check_database(path)
     except OSError as error:
         raise RankingError(f"cannot write the ranking store {path}: {error}") from error
-    connection: sqlite3.Connection | None = None
+    deadline_s = time.monotonic() + BUSY_TIMEOUT_S
+    while True:
+        try:
+            return _connect(path)
+        except sqlite3.OperationalError as error:
+            # SQLite does not wait when two first users set the journal mode at once.
+            if "locked" not in str(error) or time.monotonic() > deadline_s:
+                raise RankingError(f"cannot write the ranking store {path}: {error}") from error
+            time.sleep(0.01)
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(
+        path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+    )
     try:
-        connection = sqlite3.connect(
-            path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
-        )
         connection.execute("PRAGMA journal_mode=WAL")
         connection.execute("PRAGMA synchronous=FULL")
         _create_tables(connection)
-    except sqlite3.OperationalError as error:
-        if connection is not None:
-            connection.close()
-        raise RankingError(f"cannot write the ranking store {path}: {error}") from error
+    except BaseException:
+        connection.close()
+        raise
     return connection
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 
@@ -153,6 +154,19 @@ def test_threads_and_processes_write_at_the_same_time(tmp_path: Path) -> None:
             assert writer.returncode == 0
         assert store.count() == 75
         assert len({r.ranking_id for r in store.all()}) == 75
+
+
+def test_first_users_may_come_at_the_same_moment(tmp_path: Path) -> None:
+    def first_use(number: int, path: Path, together: Barrier) -> int:
+        together.wait(timeout=30)
+        with RankingStore(path) as store:
+            return store.add(ranking(f"r{number}"))
+
+    with ThreadPoolExecutor(6) as threads:
+        for attempt in range(25):
+            path, together = tmp_path / f"{attempt}.sqlite", Barrier(6)
+            counts = threads.map(first_use, range(6), [path] * 6, [together] * 6)
+            assert sorted(counts) == [1, 2, 3, 4, 5, 6]
 
 
 def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
