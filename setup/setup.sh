@@ -84,8 +84,23 @@ find_python() {
   return 1
 }
 
+# The newest suitable Python among the packages that this machine's apt knows.
+debian_python() {
+  local version
+  if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
+    apt-get update >>"$log" 2>&1 || true
+  fi
+  for version in 3.12 3.13 3.11; do
+    if apt-cache show "python$version-venv" >/dev/null 2>&1; then
+      echo "python$version" "python$version-venv" "python$version-dev"
+      return
+    fi
+  done
+  echo python3.11 python3.11-venv python3.11-dev
+}
+
 install_debian_packages() {
-  local command="apt-get update && apt-get install --yes --no-install-recommends $*"
+  local command="apt-get update; apt-get install --yes --no-install-recommends $*"
   if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
     export DEBIAN_FRONTEND=noninteractive
     step "system packages $*" bash -c "$command"
@@ -170,10 +185,13 @@ set_up() {
     is_done interfaces "$built"; then
     return
   fi
-  python=$(find_python) || fail "no Python 3.11, 3.12 or 3.13 found${RAPL_PYTHON:+ ($RAPL_PYTHON)}." \
-    "Install one, e.g.: sudo apt-get install python3.11 python3.11-venv python3.11-dev," \
-    "or name yours: RAPL_PYTHON=/path/to/python3.12"
   : >"$log"
+  if ! python=$(find_python); then
+    [ -z "${RAPL_PYTHON:-}" ] || fail "RAPL_PYTHON=$RAPL_PYTHON is no Python 3.11, 3.12 or 3.13"
+    say "no Python 3.11, 3.12 or 3.13 found"
+    install_debian_packages "$(debian_python)"
+    python=$(find_python) || fail "still none; name one: RAPL_PYTHON=/path/to/python3.12"
+  fi
   if [ "$ros" = jazzy ]; then
     say "using the ROS 2 Jazzy that is sourced, $python"
   else
