@@ -89,9 +89,7 @@ def test_a_repeated_state_gets_the_same_answer():
 
 
 def test_a_collection_follows_from_its_seed():
-    one, two, other = (
-        Stage(worlds=2, episodes=5, seed=seed, noise=-1.0) for seed in (3, 3, 4)
-    )
+    one, two, other = (Stage(worlds=2, episodes=5, seed=seed, noise=-1.0) for seed in (3, 3, 4))
     for stage in (one, two, other):
         stage.reset()
         stage.run()

@@ -156,9 +156,7 @@ def test_an_override_by_parameter_cures_it(rclpy_context):
             Image, topics.CAMERA_IMAGE, received.append, qos.stream(), overridable=True
         )
         publisher = a_camera(probe.node, ReliabilityPolicy.BEST_EFFORT)
-        probe.until(
-            lambda: (publisher.publish(Image()), received)[1], 10.0, "an image is received"
-        )
+        probe.until(lambda: (publisher.publish(Image()), received)[1], 10.0, "an image is received")
         assert not node.diagnostics.conditions
     finally:
         probe.close()

@@ -3,7 +3,6 @@
 import io
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from PIL import Image as PillowImage
 from rapl_msgs.msg import Action, EpisodeInfo, Heartbeat, State, WorldInfo
@@ -31,9 +30,7 @@ class Robot:
         self.actions = node.create_publisher(Action, topics.ACTION, qos.stream())
         self.worlds = node.create_publisher(WorldInfo, topics.WORLD_INFO, qos.latched())
         names = ("x", "y")
-        world = World(
-            "kitchen", 1, 0.1, STEPS, False, names, ("m", "m"), names, (FRAME,), 0
-        )
+        world = World("kitchen", 1, 0.1, STEPS, False, names, ("m", "m"), names, (FRAME,), 0)
         self.worlds.publish(conversions.world_to_ros(world, 1))
         probe.listen(DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics())
         self.beats = probe.listen(Heartbeat, "recorder/heartbeat", qos.heartbeat())
@@ -132,36 +129,32 @@ def test_a_best_effort_camera_is_an_error_and_an_override_cures_it(probe, start,
     probe.until(lambda: robot.episodes, 10.0, "it is recorded")
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        {"data": bytes(59)},
-        {"step": 7},
-        {"encoding": "32FC1"},
-    ],
-)
-def test_a_corrupt_image_costs_its_episode_and_no_more(probe, start, tmp_path, spoil):
+def test_a_corrupt_image_costs_its_episode_and_no_more(probe, start, tmp_path):
     robot = Robot(probe)
     node = start("rapl_ros.recorder_node", run_folder=tmp_path)
     robot.wait_for_recorder()
+    faults = [{"data": bytes(59)}, {"step": 7}, {"encoding": "32FC1"}]
+    for number, fault in enumerate(faults):
 
-    def spoiled(step):
-        image = bgr(step)
-        if step == 2:
-            for name, value in spoil.items():
-                setattr(image, name, value)
-        return image
+        def spoiled(step, fault=fault):
+            image = bgr(step)
+            if step == 2:
+                for name, value in fault.items():
+                    setattr(image, name, value)
+            return image
 
-    robot.play("bad", spoiled, 1000)
-    robot.play("good", bgr, 2000)
+        robot.play(f"bad-{number}", spoiled, 1000 * number)
+    robot.play("good", bgr, 9000)
     probe.until(lambda: robot.episodes, 10.0, "the good one is recorded")
     assert robot.episodes[0].episode_id == "good"
     probe.until(
-        lambda: probe.status_of("recorder").get("lost_episodes") == "1", 10.0, "one is lost"
+        lambda: probe.status_of("recorder").get("lost_episodes") == "3", 10.0, "three are lost"
     )
     status = probe.status_of("recorder")
-    assert status["refused_images"] == "1" and "camera/image_raw" in str(status)
-    assert "episode bad is lost: image missing at step 2 (1 of 4 missing)" in node.text()
+    assert status["refused_images"] == "3" and "camera/image_raw" in str(status)
+    for number in range(len(faults)):
+        lost = f"episode bad-{number} is lost: image missing at step 2 (1 of 4 missing)"
+        assert lost in node.text()
     assert EpisodeStore(tmp_path / "episodes").ids() == ["good"]
 
 
