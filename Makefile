@@ -33,4 +33,4 @@ format: setup  ## let ruff rewrite what it can
 	@$(IN_ENVIRONMENT) ruff format .
 
 bench: setup  ## world steps per second of the whole graph, and where the time goes
-	@$(IN_ENVIRONMENT) python experiments/throughput.py
+	@$(IN_ENVIRONMENT) python experiments/benchmark_graph.py
