@@ -34,7 +34,7 @@ def episode_record_to_ros(record: EpisodeRecord) -> wire_msg.EpisodeInfo:
         steps=int(record.steps),
         uri=record.uri,
         has_truth=has_truth,
-        human_return=float(record.human_return) if has_truth else 0.0,
+        human_return=0.0 if record.human_return is None else float(record.human_return),
         success=bool(record.success) if has_truth else False,
     )
 

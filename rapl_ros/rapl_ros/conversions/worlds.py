@@ -32,7 +32,7 @@ def state_to_ros(instant: Instant) -> wire_msg.State:
         terminated=bool(instant.terminated),
         values=floats_to_ros(instant.values),
         has_truth=has_truth,
-        human_reward=float(instant.human_reward) if has_truth else 0.0,
+        human_reward=0.0 if instant.human_reward is None else float(instant.human_reward),
         success=bool(instant.success) if has_truth else False,
     )
 
