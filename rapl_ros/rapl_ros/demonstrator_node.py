@@ -18,6 +18,7 @@ from rapl_core.tasks import get_task
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import wakeable_future
 from rapl_ros.collection import Batch, Collection, CollectionGoal
+from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
 from rapl_ros.wire import Command, Instant, World
@@ -236,7 +237,7 @@ class DemonstratorNode(RaplNode):
         try:
             instant = conversions.state_from_ros(msg)
         except ShapeError as error:
-            self.diagnostics.warn("state", str(error))
+            self.diagnostics.warn_for(BAD_INPUT_S, "state", str(error))
             return
         if job.resets and instant.step == 0:
             job.early[instant.episode_id] = instant

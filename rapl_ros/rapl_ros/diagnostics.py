@@ -1,5 +1,6 @@
 """What is wrong with a node and what it counts, on /diagnostics."""
 
+import time
 from collections import Counter
 from typing import Final
 
@@ -13,6 +14,9 @@ from rapl_ros.time_shares import TimeShares
 OK: Final = DiagnosticStatus.OK
 WARN: Final = DiagnosticStatus.WARN
 ERROR: Final = DiagnosticStatus.ERROR
+
+BAD_INPUT_S: Final = 10.0
+"""For so long a message that was refused stands as a warning."""
 
 
 class Diagnostics:
@@ -28,6 +32,7 @@ class Diagnostics:
             DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics()
         )
         self._conditions: dict[str, tuple[bytes, str]] = {}
+        self._ends_s: dict[str, float] = {}
         self.counters: Counter[str] = Counter()
         self.shares = TimeShares()
 
@@ -35,12 +40,18 @@ class Diagnostics:
         """Something is missing or was dropped, and the node goes on."""
         self._set(key, WARN, message)
 
+    def warn_for(self, seconds: float, key: str, message: str) -> None:
+        """Something bad came in: a warning that ends by itself when none comes for so long."""
+        self._set(key, WARN, message)
+        self._ends_s[key] = time.monotonic() + seconds
+
     def error(self, key: str, message: str) -> None:
         """Something is wrong that somebody must repair."""
         self._set(key, ERROR, message)
 
     def clear(self, key: str) -> None:
         """The condition is over; say so once."""
+        self._ends_s.pop(key, None)
         if self._conditions.pop(key, None) is not None:
             self._node.get_logger().info(f"{key}: well again")
             self.publish()
@@ -56,6 +67,9 @@ class Diagnostics:
 
     def publish(self) -> None:
         """Publish the status."""
+        now_s = time.monotonic()
+        for key in [key for key, end_s in self._ends_s.items() if end_s < now_s]:
+            del self._ends_s[key], self._conditions[key]
         name = self._node.get_fully_qualified_name()
         level = max((level for level, _ in self._conditions.values()), default=OK)
         values = [KeyValue(key=k, value=message) for k, (_, message) in self._conditions.items()]

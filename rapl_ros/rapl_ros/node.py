@@ -167,7 +167,11 @@ def run(make_node: Callable[[], RaplNode], args: Sequence[str] | None = None) ->
     except RaplError as error:
         get_logger(node.get_name() if node else "rapl").fatal(str(error))
         code = 1
-    except Exception:  # a fault of ours: told in full, and the exit code says so
+    except Exception:
+        # Where a signal has just shut ROS down, whatever was being published or created fails;
+        # otherwise it is a fault of ours: told in full, and the exit code says so.
+        if not rclpy.ok():
+            return 0
         get_logger(node.get_name() if node else "rapl").fatal(traceback.format_exc())
         code = 1
     finally:

@@ -17,6 +17,7 @@ from rapl_core.episodes.store import EpisodeStore
 from rapl_core.errors import RaplError, ShapeError
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import QueueFullError, Worker
+from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.episode_builder import EpisodeBuilder, Joints, LostEpisode, Outcome, Recording
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
@@ -115,7 +116,7 @@ class RecorderNode(RaplNode):
         try:
             frame = convert(msg)
         except ShapeError as error:
-            self.diagnostics.warn(f"image on {topic}", str(error))
+            self.diagnostics.warn_for(BAD_INPUT_S, f"image on {topic}", str(error))
             self.diagnostics.count("refused_images")
             return
         self._handle(self._builder.add_image(conversions.key_from_ros(msg.header), frame))
@@ -124,7 +125,7 @@ class RecorderNode(RaplNode):
         try:
             instant = conversions.state_from_ros(msg)
         except ShapeError as error:
-            self.diagnostics.warn("state", str(error))
+            self.diagnostics.warn_for(BAD_INPUT_S, "state", str(error))
             self.diagnostics.count("refused_states")
             return
         self._handle(self._builder.add_state(instant, time.monotonic()))

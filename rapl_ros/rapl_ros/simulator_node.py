@@ -14,11 +14,12 @@ from rapl_core.errors import RaplError, ShapeError
 from rapl_core.simulation.simulation import Simulation
 from rapl_core.tasks import get_task
 from rapl_ros import conversions, qos, topics
+from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.lockstep import Assignment, Lockstep, Scene
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
 from rapl_ros.sim_clock import SimClock, default_clock_file
-from rapl_ros.wire import World
+from rapl_ros.wire import Instant, World
 
 REPEAT_S = 1.0
 """Wall time after which a pending state and its image are published again."""
@@ -147,7 +148,7 @@ class SimulatorNode(RaplNode):
         try:
             ignored = self._lockstep.offer(conversions.action_from_ros(msg))
         except ShapeError as error:
-            self.diagnostics.warn("action", str(error))
+            self.diagnostics.warn_for(BAD_INPUT_S, "action", str(error))
             ignored = "not finite or empty"
         if ignored:
             self.diagnostics.count("ignored_actions")
@@ -179,11 +180,9 @@ class SimulatorNode(RaplNode):
         instant = scene.instant
         with self._shares.of("ros"):
             if scene.picture is not None:
-                height, width, _ = scene.picture.shape
-                info = conversions.camera_info_to_ros(instant.image, width, height, self._fovy_deg)
                 image = conversions.image_to_ros(scene.picture, instant.image)
                 self._images[instant.world].publish(image)
-                self._cameras[instant.world].publish(info)
+                self._publish_camera(instant, image.width, image.height)
             self._joints[instant.world].publish(
                 conversions.joint_state_to_ros(
                     instant.key,
@@ -193,6 +192,13 @@ class SimulatorNode(RaplNode):
                 )
             )
             self._states.publish(conversions.state_to_ros(instant))
+
+    def _publish_camera(self, instant: Instant, width: int, height: int) -> None:
+        camera = self._cameras[instant.world]
+        if camera.get_subscription_count() > 0:  # few want it, and it costs as much as a state
+            camera.publish(
+                conversions.camera_info_to_ros(instant.image, width, height, self._fovy_deg)
+            )
 
     def _repeat(self) -> None:
         """Publish what waits for an answer again, so that nothing lost can stall the graph."""

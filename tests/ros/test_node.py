@@ -178,3 +178,10 @@ def test_conditions_stand_until_cleared_and_counters_are_told(watcher):
     assert status["ignored_actions"] == "3" and float(status["rendering_s"]) < 0.1
     node.diagnostics.clear("disk")
     probe.until(lambda: probe.status_of("watcher")["level"] == "1", 5.0, "only a warning")
+
+
+def test_a_warning_about_bad_input_ends_by_itself(watcher):
+    node, probe = watcher
+    node.diagnostics.warn_for(0.3, "image", "corrupt")
+    assert node.diagnostics.conditions == {"image": "corrupt"}
+    probe.until(lambda: not node.diagnostics.conditions, 5.0, "it ends")
