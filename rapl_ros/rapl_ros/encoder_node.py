@@ -101,7 +101,7 @@ class EncoderNode(RaplNode):
             self, _restored(self.config.run_folder), writable=("encoder", "weights")
         )
         self._at_work: EncoderAtWork | None = None
-        self._candidate: EncoderAtWork | None = None
+        self._candidate: tuple[EncoderChoice, EncoderAtWork] | None = None
         self._worlds = 0
         self._queue: BatchQueue[_Picture] = BatchQueue(self.config.queue_frames)
         self._embeddings = self.publish_to(wire_msg.Embedding, topics.EMBEDDING, qos.stream())
@@ -125,7 +125,7 @@ class EncoderNode(RaplNode):
     def _take_up_first(self) -> None:
         choice = self._choice.value
         if choice.encoder:
-            self._switch(load(choice, self.config))
+            self._switch(choice, load(choice, self.config))
         else:
             self.heartbeat.report("waiting", "for an encoder: set the parameter 'encoder'")
 
@@ -136,7 +136,7 @@ class EncoderNode(RaplNode):
             return SetParametersResult(successful=True)
         try:
             choice = replace(self._choice.value, **mine)
-            self._candidate = load(choice, self.config)
+            self._candidate = (choice, load(choice, self.config))
         except (RaplError, OSError, RuntimeError, TypeError, ValueError) as error:
             self.get_logger().warning(f"refused {mine}: {error}")
             return SetParametersResult(successful=False, reason=str(error))
@@ -145,15 +145,15 @@ class EncoderNode(RaplNode):
     def _after_set(self, _: list[Parameter]) -> None:
         candidate, self._candidate = self._candidate, None
         if candidate is not None:
-            self._switch(candidate)
+            self._switch(*candidate)
 
-    def _switch(self, new: EncoderAtWork) -> None:
+    def _switch(self, choice: EncoderChoice, new: EncoderAtWork) -> None:
         now_ns = self.get_clock().now().nanoseconds
         self._experts.publish(conversions.experts_to_ros(new.experts, now_ns))
         info = new.encoder.info
         self._infos.publish(conversions.encoder_info_to_ros(info, new.rule, now_ns))
         self._at_work = new  # the worker reads it once for each batch
-        _remember(self.config.run_folder, self._choice.value)
+        _remember(self.config.run_folder, choice)
         what = f"{info.name} version {info.version} on {info.backbone}"
         self.get_logger().info(f"encoder {what}, {len(new.experts.experts)} experts")
         self.heartbeat.report("active", what)

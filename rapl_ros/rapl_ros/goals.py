@@ -15,6 +15,10 @@ POLL_S = 0.1
 """Short beside a person's patience, long beside a callback."""
 
 
+PATIENCE_S = 2.0
+"""A wait shorter than this is not worth telling."""
+
+
 class PeerRestartedError(CallError):
     """Another process has taken the place of the node that was at work."""
 
@@ -65,15 +69,25 @@ class ActionPort:
         if not handle.accepted:
             raise CallError(f"{self._name} refused the goal: it is busy")
         answer = handle.get_result_async()
-        gone = False
+        said, since_s = "", time.monotonic()
         while not answer.done():
             self._check(incarnation)
-            if self._node.peers[self._peer].alive == gone:
-                gone = not gone
-                self._say(f"for {self._peer}, which is gone" if gone else "")
+            lack = self._lack()
+            if lack == said:
+                since_s = time.monotonic()
+            elif not lack or time.monotonic() - since_s > PATIENCE_S:
+                said = lack
+                self._say(lack)
             on_wait()
             await pause(self._node, POLL_S)
         return answer.result().result
+
+    def _lack(self) -> str:
+        """What the work waits for by the peer's own word; empty while it goes on."""
+        peer = self._node.peers[self._peer]
+        if not peer.alive:
+            return f"for {self._peer}, which is gone"
+        return peer.detail if peer.status == "waiting" else ""
 
     def _check(self, incarnation: str) -> None:
         if self._node.peers[self._peer].incarnation != incarnation:
