@@ -126,9 +126,9 @@ class Gauge(Node):
             raise RaplError("the learner does not accept the goal")
 
 
-def processes(config: RunConfig, folder: Path) -> list[ProcessSpec]:
+def processes(config: RunConfig, folder: Path, also: Sequence[str]) -> list[ProcessSpec]:
     """What is started: a part of the table of nodes, and the ping-pong controller."""
-    wanted = {topics.SIMULATOR}
+    wanted = {topics.SIMULATOR, *also}
     if config.reward != "none":
         wanted |= {topics.OT_REWARD, topics.LEARNER}
         if config.reward != "ground_truth":
@@ -217,6 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--task", default="franka_group")
     parser.add_argument("--reward", default="none", help="none: ping-pong; ground_truth, rapl, ...")
     parser.add_argument("--worlds", type=int, default=4)
+    parser.add_argument("--also", nargs="*", default=[], help="further nodes, e.g. recorder")
     parser.add_argument("--folder", type=Path, help="a run with videos and rankings")
     parser.add_argument("--warm", type=float, default=5.0, help="seconds before the measurement")
     parser.add_argument("--seconds", type=float, default=20.0)
@@ -229,7 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         environment = graph_environment(Path(scratch))
         os.environ.update(environment)
         supervisor = Supervisor(
-            processes(config, folder), Path(scratch) / "logs", environment, print
+            processes(config, folder, options.also), Path(scratch) / "logs", environment, print
         )
         supervisor.start()
         rclpy.init()
