@@ -68,7 +68,9 @@ class ConductorNode(RaplNode):
         self._progress = self.publish_to(Progress, topics.PROGRESS, qos.event())
         self._published_s = -math.inf
         self._meter = ProgressMeter(STAGES[0].name, 1, len(STAGES))
-        self._stage_context = StageContext(self, self.run, self.folder, self._advance, self._wait_for)
+        self._stage_context = StageContext(
+            self, self.run, self.folder, self._advance, self._wait_for
+        )
         self._start = self.steady_timer(0.1, self._begin)
 
     def _begin(self) -> None:
