@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torch._dynamo  # torch would at the first optimiser: seconds that a callback must not take
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Evaluate, Train
 from rclpy.action import ActionServer, CancelResponse, GoalResponse

@@ -165,8 +165,10 @@ class TabletopGroup:
         return TabletopDynamics(self, model)
 
     def goal_distance(self, cube: NDArray[np.float64]) -> float:
-        """Return how far a cube's centre (3,) is from the goal strip along x; 0 inside."""
-        return float(max(self.config.goal_near - cube[0], cube[0] - self.config.goal_far, 0.0))
+        """Return how far along x a cube's centre (3,) is from where the whole cube is inside."""
+        near = self.config.goal_near + self.config.cube_half
+        far = self.config.goal_far - self.config.cube_half
+        return float(max(near - cube[0], cube[0] - far, 0.0))
 
     def human_reward(self, state: NDArray[np.float64]) -> float:
         """Return r* = -max(d1, d2) - ||p1 - p2|| in m (paper, Section 4.1, grouping)."""
@@ -176,13 +178,14 @@ class TabletopGroup:
     def success(self, states: NDArray[np.float64]) -> bool:
         """Return whether both cubes ended in the goal and came there together.
 
-        Both are inside at the last step, and their gap is below ``gap_threshold`` at every
-        step from the moment either one enters the goal.
+        Both centres are inside at the last step, and their gap is below ``gap_threshold`` at
+        every step from the moment either one enters the goal.
 
         :param states: (T + 1, 18).
         """
         states = np.asarray(states)
-        inside = states[:, 16:18] <= 0.0  # (T + 1, 2)
+        along = states[:, [10, 13]]
+        inside = (along >= self.config.goal_near) & (along <= self.config.goal_far)  # (T + 1, 2)
         if not inside[-1].all():
             return False
         first = int(np.argmax(inside.any(axis=1)))

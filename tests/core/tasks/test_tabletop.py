@@ -31,13 +31,13 @@ def test_an_unknown_task_names_the_known_ones():
 
 def test_human_reward_is_the_papers(task):
     state = state_with(task, (0.0, 0.0), (0.1, 0.1))
-    assert task.human_reward(state) == pytest.approx(-0.2 - np.hypot(0.1, 0.1))
+    assert task.human_reward(state) == pytest.approx(-0.23 - np.hypot(0.1, 0.1))
 
 
 def test_the_goal_is_bounded_on_both_sides(task):
     assert task.goal_distance(np.array([0.28, 0.0, 0.03])) == 0.0
-    assert task.goal_distance(np.array([0.10, 0.0, 0.03])) == pytest.approx(0.10)
-    assert task.goal_distance(np.array([0.40, 0.0, 0.03])) == pytest.approx(0.04)
+    assert task.goal_distance(np.array([0.10, 0.0, 0.03])) == pytest.approx(0.13)
+    assert task.goal_distance(np.array([0.40, 0.0, 0.03])) == pytest.approx(0.07)
 
 
 def ride(task, ways):
