@@ -99,7 +99,7 @@ class ConductorNode(RaplNode):
     async def _run_stage(self, stage: Stage) -> None:
         record = self._book[stage.name]
         if record.status == "done" and not stage.is_stale(self.run, record.result):
-            self._publish(self._meter.ended("done", "done before"))
+            self._publish(self._meter.ended("done", "earlier"))
             return
         self._book.forget(later.name for later in STAGES[STAGES.index(stage) + 1 :])
         for attempt in range(1, ATTEMPTS + 1):

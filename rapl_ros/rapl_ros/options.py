@@ -148,6 +148,7 @@ def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> R
     _check(arguments.task, "task", tasks)
     values = {**(QUICK if arguments.quick else {}), **_given(arguments)}
     config = RunConfig(task=arguments.task, quick=arguments.quick, **values)
+    config = replace(config, random_steps=min(config.random_steps, config.steps // 4))
     _check(config.reward, "reward", REWARDS)
     _check(config.preset, "preset", PRESETS)
     folder = arguments.out or _free_folder(runs / config.task / _run_name(config))

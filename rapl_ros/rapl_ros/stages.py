@@ -123,7 +123,8 @@ async def rank(context: StageContext) -> Result:
 async def align(context: StageContext) -> Result:
     """Train the encoder from the rankings and put it to work."""
     run = context.run
-    epochs = 0
+    preference = context.node.peers[topics.PREFERENCE]
+    epochs, idle = 0, preference.detail
 
     def show(feedback: Align.Feedback) -> None:
         nonlocal epochs
@@ -133,8 +134,9 @@ async def align(context: StageContext) -> Result:
         context.show(feedback.epoch, feedback.epochs, "epochs", known)
 
     def show_reading() -> None:
-        if not epochs:  # it reads the videos' features first, and says so on its heartbeat
-            context.show(0, 0, "epochs", context.node.peers[topics.PREFERENCE].detail)
+        # It reads the videos' features first, and says so on its heartbeat.
+        if not epochs and preference.detail != idle:
+            context.show(0, 0, "epochs", preference.detail)
 
     goal = Align.Goal(encoder=run.reward, preset=run.preset, triplets=run.triplets, seed=run.seed)
     result = await context.align.run(goal, show, on_wait=show_reading)

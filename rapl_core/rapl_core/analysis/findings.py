@@ -17,6 +17,7 @@ from rapl_core.analysis.scoring import (
     Scorer,
     choose_examples,
 )
+from rapl_core.analysis.stages import plain
 from rapl_core.policies.learning_curve import LearningCurve
 
 MEASURED_VIDEOS = 100
@@ -72,7 +73,7 @@ def results(
     """Return what ``results.json`` holds; what is unknown is null."""
     final = record.stage("evaluate").result
     align = record.stage("align").result
-    found: dict[str, Any] = _plain(
+    found: dict[str, Any] = plain(
         {
             "settings": dict(record.settings),
             "encoder": asdict(encoder.info) if encoder else None,
@@ -118,16 +119,3 @@ def _spread(episode_ids: Sequence[str], most: int) -> list[str]:
     if len(episode_ids) <= most:
         return list(episode_ids)
     return [episode_ids[i] for i in np.linspace(0, len(episode_ids) - 1, most).round().astype(int)]
-
-
-def _plain(value: Any) -> Any:
-    """JSON without NaN, which strict readers refuse."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -4,11 +4,14 @@ The conductor writes it, a resumed run begins where it stops, and the report rea
 """
 
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from rapl_core.errors import CorruptFileError
 
@@ -76,7 +79,7 @@ class StageBook:
 
     def _put(self, record: StageRecord) -> None:
         self._records[record.name] = record
-        text = json.dumps([asdict(r) for r in self._records.values()], indent=1)
+        text = json.dumps(plain([asdict(r) for r in self._records.values()]), indent=1)
         temporary = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         temporary.write_text(text)
         temporary.replace(self._path)
@@ -94,3 +97,16 @@ def read_stages(run_folder: Path) -> tuple[StageRecord, ...]:
         return ()
     except (OSError, ValueError, TypeError) as error:
         raise CorruptFileError(f"cannot read {path}: {error}") from error
+
+
+def plain(value: Any) -> Any:
+    """Return ``value`` as strict JSON has it: what is not finite is null, no numpy."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -237,3 +237,21 @@ def test_stages_survive_the_process_and_times_add_up(tmp_path: Path) -> None:
     last = StageBook(tmp_path)["train"]
     assert (last.status, last.seconds, last.attempts) == ("done", 7.0, 2)
     assert last.result == {"steps": 5}
+
+
+def test_what_is_unknown_is_null_in_the_stages(tmp_path: Path) -> None:
+    StageBook(tmp_path).finish("align", {"held_out_accuracy": float("nan"), "n": np.int64(3)})
+    text = (tmp_path / "stages.json").read_text()
+    assert "NaN" not in text
+    assert StageBook(tmp_path)["align"].result == {"held_out_accuracy": None, "n": 3}
+
+
+def test_a_stage_whose_input_changed_is_forgotten_but_not_its_time(tmp_path: Path) -> None:
+    book = StageBook(tmp_path)
+    book.begin("report")
+    book.spend("report", 3.0)
+    book.finish("report", {"report": "report.html"})
+    book.forget(["report", "never begun"])
+    assert [(r.name, r.status, r.seconds, dict(r.result)) for r in book.records] == [
+        ("report", "waiting", 3.0, {})
+    ]

@@ -1,0 +1,114 @@
+"""kill -9 of any one node: it is missed by name, the run goes on, nothing is lost."""
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from graph_run import RUN_DEADLINE_S, TINY, WORLDS, GraphProbe, GraphRun
+
+from rapl_core.analysis.stages import read_stages
+from rapl_core.episodes import EpisodeStore
+from rapl_core.preferences import RankingStore
+from rapl_ros import qos, topics
+
+pytestmark = pytest.mark.timeout(900)
+
+MISSED_WITHIN_S = 5.0
+WATCHERS = {
+    "simulator": "learner",
+    "encoder": "ot_reward",
+    "ot_reward": "learner",
+    "recorder": "demonstrator",
+    "preference": "simulated_human",
+    "simulated_human": "conductor",
+    "demonstrator": "conductor",
+    "learner": "conductor",
+}
+"""A node that depends on another and must miss it."""
+KILLED_IN = {
+    "demonstrator": ("collect", 2),
+    "recorder": ("collect", 4),
+    "simulator": ("train", 120),
+    "encoder": ("train", 120),
+    "ot_reward": ("train", 120),
+    "learner": ("train", 240),
+    "conductor": ("train", 120),
+    "preference": ("train", 120),
+    "simulated_human": ("train", 120),
+}
+"""Stage and progress at which a node is killed: where it hurts."""
+QUICKLY = ("simulator", "learner")
+"""Killed in every `make test`; the others are slow."""
+
+
+@pytest.fixture
+def killing(rclpy_up: None, tmp_path: Path) -> Iterator[tuple[GraphProbe, GraphRun, Path]]:
+    folder = tmp_path / "run"
+    probe = GraphProbe(WORLDS)
+    run = GraphRun([*TINY, "--out", str(folder)], tmp_path / "shown.txt")
+    yield probe, run, folder
+    run.close()
+    probe.close()
+
+
+@pytest.mark.parametrize(
+    "node",
+    [name if name in QUICKLY else pytest.param(name, marks=pytest.mark.slow) for name in KILLED_IN],
+)
+def test_a_killed_node_is_missed_restarted_and_the_run_is_complete(
+    killing: tuple[GraphProbe, GraphRun, Path], node: str
+) -> None:
+    probe, run, folder = killing
+    stage, done = KILLED_IN[node]
+    probe.until_stage(stage, done, run, RUN_DEADLINE_S)
+    complaints = [] if node == "conductor" else listen_to_complaints(probe, node)
+    episodes = len(EpisodeStore(folder / "episodes"))
+    pid = run.kill_node(node)
+    if node != "conductor":
+        probe.until(
+            lambda: complaints, MISSED_WITHIN_S, f"{WATCHERS[node]} says that {node} is gone"
+        )
+    code = probe.until_ended(run, RUN_DEADLINE_S)
+    text = run.text()
+    assert code == 0, text[-3000:]
+    assert f"{node} was killed by SIGKILL; restarting it" in text
+    assert not Path(f"/proc/{pid}").exists()
+    assert all(record.status == "done" for record in read_stages(folder))
+    store = EpisodeStore(folder / "episodes")
+    assert len(store) >= episodes + 12
+    for episode_id in store.ids():
+        store.load(episode_id)  # a damaged one would be refused
+    with RankingStore(folder / "rankings.sqlite") as rankings:
+        assert rankings.count() == 12
+
+
+def listen_to_complaints(probe: GraphProbe, node: str) -> list[str]:
+    """Fills up with what the watcher of ``node`` says about it on /diagnostics."""
+    complaints: list[str] = []
+
+    def on_diagnostics(msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            if status.name == f"/{topics.NAMESPACE}/{WATCHERS[node]}":
+                complaints.extend(v.value for v in status.values if f"{node} is gone" in v.value)
+
+    probe.node.create_subscription(
+        DiagnosticArray, topics.DIAGNOSTICS, on_diagnostics, qos.diagnostics()
+    )
+    return complaints
+
+
+def test_nothing_survives_a_supervisor_that_is_killed(
+    killing: tuple[GraphProbe, GraphRun, Path],
+) -> None:
+    probe, run, folder = killing
+    probe.until_stage("collect", 2, run, RUN_DEADLINE_S)
+    children = run.children()
+    assert len(children) >= 9
+    os.kill(run.process.pid, signal.SIGKILL)
+    run.process.wait(timeout=5)
+    probe.until(lambda: not any(c.is_running() for c in children), 5.0, "every node has ended")
+    for episode_id in EpisodeStore(folder / "episodes").ids():
+        EpisodeStore(folder / "episodes").load(episode_id)
