@@ -12,6 +12,7 @@ from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Evaluate, Train
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -80,7 +81,9 @@ class LearnerNode(RaplNode):
         self._rounds = Rounds(self)
         self.subscribe_to(wire_msg.Reward, topics.REWARD, self._on_reward, qos.event())
         self.subscribe_to(wire_msg.WorldInfo, topics.WORLD_INFO, self._on_world, qos.latched())
-        self.create_service(Trigger, topics.SAVE, self._on_save)
+        # Its callback waits for the round to end; in the node's own group it would stop all others.
+        waits = ReentrantCallbackGroup()
+        self.create_service(Trigger, topics.SAVE, self._on_save, callback_group=waits)
         self._servers = [
             ActionServer(
                 self,
