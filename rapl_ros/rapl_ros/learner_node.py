@@ -125,7 +125,11 @@ class LearnerNode(RaplNode):
         try:
             await self._until("for world_info", lambda: self._world is not None)
             session = self._open(goal.request.steps, goal.request.resume)
-            await self._learn(session, goal)
+            try:
+                await self._learn(session, goal)
+            except RoundsStoppedError:  # between two rounds: a checkpoint may be written
+                await self._save(session)
+                raise
             result.success = True
             result.message = f"{session.learning.schedule.steps} steps"
         except RaplError as error:
@@ -228,9 +232,9 @@ class LearnerNode(RaplNode):
     async def _learn(self, session: LearnerSession, goal: ServerGoalHandle) -> None:
         schedule = session.learning.schedule
         while not schedule.finished:
-            if self._savers or goal.is_cancel_requested:
+            self._check_cancelled()
+            if self._savers:
                 await self._save(session)
-                self._check_cancelled()
             await self._ready(lambda: session.may_begin)
             player = session.begin_round()
             self.heartbeat.report("active", f"{schedule.steps} of {schedule.config.steps} steps")

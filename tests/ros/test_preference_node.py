@@ -1,0 +1,236 @@
+"""The nodes preference and simulated_human: queries, rankings that stay, an encoder from them."""
+
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from rapl_msgs import msg as wire_msg
+from rapl_msgs.action import Align
+from rapl_msgs.srv import GetQuery, ListRankings, SubmitRanking
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
+from ros_harness import DISCOVERY_S, NodeProcess, Probe
+
+from rapl_core.episodes import EpisodeStore
+from rapl_core.preferences import RankingStore, triplets_from
+from rapl_core.representations import load_encoder
+from rapl_core.types import Episode
+from rapl_ros import qos, topics
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
+
+VIDEOS, STEPS, SIZE = 12, 6, 32
+SIMULATED = 25
+
+
+def make_videos(folder: Path) -> dict[str, float]:
+    """Videos of a bright square; the better, the farther it gets. Returns by id."""
+    store = EpisodeStore(folder / "episodes")
+    returns = {}
+    for number in range(VIDEOS):
+        frames = np.full((STEPS + 1, SIZE, SIZE, 3), 40, np.uint8)
+        for step in range(STEPS + 1):
+            x = round(step / STEPS * number * 24 / VIDEOS)
+            frames[step, 12:20, x : x + 8] = (240, 200, 30)
+        rewards = -np.linspace(1.0, 1.0 - number / VIDEOS, STEPS + 1)
+        episode = Episode(
+            episode_id=f"video-{number:02d}",
+            task="franka_group",
+            world=0,
+            purpose="demonstrate",
+            controller="demonstrator",
+            frames=frames,
+            states=np.zeros((STEPS + 1, 2)),
+            actions=np.zeros((STEPS, 2)),
+            stamps_ns=np.arange(1, STEPS + 2, dtype=np.int64),
+            human_rewards=rewards,
+            success=False,
+        )
+        store.add(episode)
+        returns[episode.episode_id] = episode.human_return
+    return returns
+
+
+class Person:
+    """A client of the preference node."""
+
+    def __init__(self, probe: Probe) -> None:
+        self.probe = probe
+
+    def ask(self, **request: str) -> GetQuery.Response:
+        return self._call(GetQuery, topics.GET_QUERY, GetQuery.Request(**request))
+
+    def submit(self, episode_ids: list[str], ranks: list[int], **more: Any) -> Any:
+        ranking = wire_msg.Ranking(
+            ranking_id=more.pop("ranking_id", uuid.uuid4().hex),
+            annotator="person",
+            episode_ids=episode_ids,
+            ranks=ranks,
+            **more,
+        )
+        request = SubmitRanking.Request(ranking=ranking)
+        return self._call(SubmitRanking, topics.SUBMIT_RANKING, request)
+
+    def list(self, **request: Any) -> ListRankings.Response:
+        return self._call(ListRankings, topics.LIST_RANKINGS, ListRankings.Request(**request))
+
+    def align(self, deadline_s: float = 100.0, cancel: bool = False, **goal: Any) -> Any:
+        client = ActionClient(
+            self.probe.node, Align, topics.of_node(topics.ALIGN, topics.PREFERENCE)
+        )
+        self.probe.until(client.server_is_ready, DISCOVERY_S, "align is there")
+        sent = client.send_goal_async(Align.Goal(**goal))
+        handle = self.probe.wait(sent, DISCOVERY_S, "the goal is answered")
+        if cancel:
+            self.probe.wait(handle.cancel_goal_async(), DISCOVERY_S, "the cancel is answered")
+        return self.probe.wait(handle.get_result_async(), deadline_s, "the goal ends")
+
+    def _call(self, kind: type, name: str, request: Any) -> Any:
+        return self.probe.call(kind, topics.of_node(name, topics.PREFERENCE), request)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, float]]:
+    folder = tmp_path_factory.mktemp("run")
+    return folder, make_videos(folder)
+
+
+@pytest.fixture(scope="module")
+def node(run: tuple[Path, dict[str, float]]) -> Iterator[NodeProcess]:
+    folder, _ = run
+    process = NodeProcess(
+        "rapl_ros.preference_node", folder / "log", run_folder=folder, lease_s=60.0
+    )
+    yield process
+    process.stop()
+
+
+@pytest.fixture(scope="module")
+def person(node: NodeProcess, rclpy_context: None) -> Iterator[Person]:
+    probe = Probe("person")
+    yield Person(probe)
+    probe.close()
+
+
+def test_a_query_shows_videos_and_an_answer_is_stored_once_however_often_sent(
+    person: Person, run: tuple[Path, dict[str, float]]
+) -> None:
+    folder, returns = run
+    asked = person.ask(annotator="person")
+    assert asked.success, asked.message
+    shown = list(asked.query.episode_ids)
+    assert len(set(shown)) == 3 and set(shown) <= set(returns)
+    before = person.list().total
+    for _ in range(3):
+        stored = person.submit(
+            shown, [2, 1, 3], query_id=asked.query.query_id, ranking_id="the-same"
+        )
+        assert stored.success and stored.rankings == before + 1
+    with RankingStore(folder / "rankings.sqlite") as store:
+        assert [r.ranks for r in store.all("person") if r.ranking_id == "the-same"] == [(2, 1, 3)]
+
+
+@pytest.mark.parametrize(
+    ("episode_ids", "ranks", "words"),
+    [
+        (["video-00", "video-01", "elsewhere"], [1, 2, 3], "elsewhere"),
+        (["video-00", "video-01", "video-00"], [1, 2, 3], "repeats video-00"),
+        (["video-00", "video-01", "video-02"], [1, 2], "2 ranks, expected 3"),
+        (["video-00", "video-01", "video-02"], [0, 1, 2], "not within 1..3"),
+    ],
+)
+def test_a_bad_ranking_is_refused_with_the_reason_and_not_stored(
+    person: Person, episode_ids: list[str], ranks: list[int], words: str
+) -> None:
+    before = person.list().total
+    stored = person.submit(episode_ids, ranks)
+    assert not stored.success and words in stored.message
+    assert person.list().total == before
+
+
+def test_an_unknown_strategy_names_the_known(person: Person) -> None:
+    asked = person.ask(strategy="telepathy")
+    assert not asked.success
+    assert "unknown query strategy 'telepathy'; known: uniform" in asked.message
+
+
+def test_the_simulated_human_ranks_by_the_true_return_and_goes_on_after_a_kill(
+    person: Person, run: tuple[Path, dict[str, float]], node: NodeProcess
+) -> None:
+    folder, returns = run
+    human = NodeProcess(
+        "rapl_ros.simulated_human_node", folder / "human", run_folder=folder, seed=3
+    )
+    probe = person.probe
+    beats = probe.listen(
+        wire_msg.Heartbeat,
+        topics.of_node(topics.HEARTBEAT, topics.SIMULATED_HUMAN),
+        qos.heartbeat(),
+    )
+
+    def want(rankings: int) -> None:
+        value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=rankings)
+        request = SetParameters.Request(parameters=[Parameter(name="rankings", value=value)])
+        service = f"{topics.SIMULATED_HUMAN}/set_parameters"
+        assert probe.call(SetParameters, service, request).results[0].successful
+
+    def is_done(rankings: int) -> bool:
+        return bool(beats) and beats[-1].detail == f"done: {rankings} of {rankings} rankings"
+
+    try:
+        want(10)
+        probe.until(lambda: is_done(10), 30.0, "ten rankings")
+        assert person.list(annotator="simulated").total == 10
+        node.kill()
+        node.restart()
+        assert person.list(annotator="simulated").total == 10, "none is lost"
+        want(SIMULATED)
+        probe.until(lambda: is_done(SIMULATED), 40.0, "all rankings")
+    finally:
+        human.stop()
+    listed = person.list(annotator="simulated", limit=1000)
+    assert listed.total == len(listed.rankings) == SIMULATED
+    for ranking in listed.rankings:
+        order = [e for _, e in sorted(zip(ranking.ranks, ranking.episode_ids, strict=True))]
+        assert order == sorted(ranking.episode_ids, key=lambda e: -returns[e])
+    combinations = {frozenset(ranking.episode_ids) for ranking in listed.rankings}
+    assert len(combinations) == SIMULATED, "nothing is asked twice"
+
+
+def test_align_writes_an_encoder_that_loads_and_tells_how_good_it_is(
+    person: Person, run: tuple[Path, dict[str, float]]
+) -> None:
+    folder, _ = run
+    answer = person.align(encoder="rapl", preset="tuned", triplets=0, seed=1)
+    result = answer.result
+    assert answer.status == GoalStatus.STATUS_SUCCEEDED, result.message
+    with RankingStore(folder / "rankings.sqlite") as store:
+        assert result.triplets == len(triplets_from(store.effective()))
+    assert 0.0 <= result.held_out_accuracy <= 1.0
+    encoder = load_encoder(folder / result.uri)
+    assert encoder.info.version == result.version and encoder.info.name == "rapl"
+    assert len(encoder.expert_ids) == 10
+    assert "video-11" in encoder.expert_ids and "video-00" not in encoder.expert_ids
+
+
+def test_align_refuses_what_it_does_not_know_and_can_be_cancelled(
+    person: Person, run: tuple[Path, dict[str, float]]
+) -> None:
+    folder, _ = run
+    unknown = person.align(encoder="magic", preset="tuned")
+    assert unknown.status == GoalStatus.STATUS_ABORTED
+    assert "'magic'; known: imagenet, rapl, rlhf" in unknown.result.message
+    unknown = person.align(encoder="rapl", preset="best")
+    assert "unknown preset 'best'; known: authors_code, paper, tuned" in unknown.result.message
+    before = sorted(path.name for path in (folder / "encoders").iterdir())
+    began_s = time.monotonic()
+    cancelled = person.align(encoder="rapl", preset="authors_code", seed=9, cancel=True)
+    assert cancelled.status == GoalStatus.STATUS_CANCELED, cancelled.result.message
+    assert time.monotonic() - began_s < 60
+    assert sorted(path.name for path in (folder / "encoders").iterdir()) == before
