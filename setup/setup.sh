@@ -170,7 +170,7 @@ refresh() { # refresh STAMP HASH TITLE COMMAND...
 }
 
 set_up() {
-  local interfaces place packages own built
+  local interfaces place packages own generators built
   ros=wheels
   if [ "${ROS_DISTRO:-}" = jazzy ] && /usr/bin/python3 -c 'import rclpy' 2>/dev/null; then
     ros=jazzy
@@ -180,7 +180,8 @@ set_up() {
   packages=$(digest "$place" "$here/requirements.lock")
   own=$(digest "$packages $(cd "$root/rapl_ros" && echo rapl_ros/*_node.py)" \
     "$root"/rapl_{core,ros}/setup.{py,cfg} "$here/ros2_standin.sh")
-  built=$(digest "$packages" "${interfaces[@]}" "$here"/build_messages.sh "$here"/*.cmake)
+  generators=$(grep -E '^(ros-|catkin-pkg|empy|lark-parser|numpy)' "$here/requirements.lock")
+  built=$(digest "$place $generators" "${interfaces[@]}" "$here"/build_messages.sh "$here"/*.cmake)
   if is_done place "$place" && is_done packages "$packages" && is_done own "$own" &&
     is_done interfaces "$built"; then
     return

@@ -147,11 +147,17 @@ def test_a_changed_message_rebuilds_the_messages_only(checkout: Path) -> None:
     assert done(checkout)[3] == ["messages"]
 
 
-def test_a_changed_lock_renews_the_packages_in_place(checkout: Path) -> None:
+@pytest.mark.parametrize(
+    ("pin", "expected"),
+    [("six==1.17.0", ["pip", "own"]), ("ros-extra==1.0", ["pip", "own", "messages"])],
+)
+def test_a_changed_lock_renews_in_place_what_depends_on_it(
+    checkout: Path, pin: str, expected: list[str]
+) -> None:
     done(checkout)
     with (checkout / "setup/requirements.lock").open("a") as file:
-        file.write("six==1.17.0\n")
-    assert done(checkout)[3] == ["pip", "own", "messages"]
+        file.write(pin + "\n")
+    assert done(checkout)[3] == expected
 
 
 def test_a_moved_checkout_is_set_up_anew(checkout: Path) -> None:
