@@ -26,7 +26,6 @@ RETRY_PAUSE_S = 2.5
 RETURN_S = 30.0
 """For a node that died to come back."""
 PROGRESS_PERIOD_S = 0.5
-WATCHER_S = 3.0
 
 
 class StageFailedError(RaplError):
@@ -65,7 +64,7 @@ class ConductorNode(RaplNode):
         self.folder = declare_config(self, ConductorConfig()).run_folder
         self.run = load_config(self.folder)
         self._book = StageBook(self.folder)
-        self._progress = self.publish_to(Progress, topics.PROGRESS, qos.event())
+        self._progress = self.publish_to(Progress, topics.PROGRESS, qos.progress())
         self._published_s = -math.inf
         self._meter = ProgressMeter(STAGES[0].name, 1, len(STAGES))
         self._stage_context = StageContext(
@@ -79,7 +78,6 @@ class ConductorNode(RaplNode):
         self.executor.create_task(self._conduct)
 
     async def _conduct(self) -> None:
-        await self._until_watched()
         for index, stage in enumerate(STAGES, start=1):
             self._meter = ProgressMeter(stage.name, index, len(STAGES))
             if stage.is_needed(self.run):
@@ -88,13 +86,6 @@ class ConductorNode(RaplNode):
                 self._book.skip(stage.name, f"--reward {self.run.reward} does without")
         await pause(self, 1.0)  # the last message must leave before the process does
         rclpy.try_shutdown()
-
-    async def _until_watched(self) -> None:
-        """Give whoever started this a moment to subscribe; nobody need watch, though."""
-        waited_s = 0.0
-        while self._progress.get_subscription_count() == 0 and waited_s < WATCHER_S:
-            await pause(self, 0.1)
-            waited_s += 0.1
 
     async def _run_stage(self, stage: Stage) -> None:
         record = self._book[stage.name]

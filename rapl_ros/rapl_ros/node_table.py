@@ -13,6 +13,10 @@ from rapl_ros.supervisor import ProcessSpec
 
 NAMESPACE = "/rapl"
 
+HUMAN_REWARD_SCALE = 4.35
+"""On r* when it is the reward: what rapl_core.policies.fit_scale, the rule of all rewards, gives
+for 60 demonstrations of franka_group (seed 0)."""
+
 ParameterValue = bool | int | float | str
 
 
@@ -34,7 +38,7 @@ class NodeEntry:
 NODES: tuple[NodeEntry, ...] = (
     NodeEntry("simulator", "rapl_ros.simulator_node", ("task", "worlds", "clock_file")),
     NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder",), imports_torch=True),
-    NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source",)),
+    NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source", "human_reward_scale")),
     NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",)),
     NodeEntry("preference", "rapl_ros.preference_node", ("run_folder", "seed"), imports_torch=True),
     NodeEntry("simulated_human", "rapl_ros.simulated_human_node", ("run_folder", "seed")),
@@ -63,6 +67,7 @@ def run_parameters(config: RunConfig, folder: Path) -> dict[str, ParameterValue]
         "task": config.task,
         "worlds": config.worlds,
         "seed": config.seed,
+        "human_reward_scale": HUMAN_REWARD_SCALE,
         "run_folder": str(folder.resolve()),
         "clock_file": str((folder / "clock_ns").resolve()),
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",

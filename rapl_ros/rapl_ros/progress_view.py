@@ -23,7 +23,7 @@ class ProgressView:
             Progress,
             topics.PROGRESS,
             lambda msg: console.show(conversions.progress_from_ros(msg)),
-            qos.event(),
+            qos.progress(),
         )
 
     def spin(self, seconds: float) -> None:

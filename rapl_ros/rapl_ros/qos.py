@@ -39,8 +39,15 @@ def stream(depth: int = STREAM_DEPTH) -> QoSProfile:
 
 
 def event() -> QoSProfile:
-    """Reward, episode, metrics, progress: few, each counts; the past is on disk."""
+    """Reward, episode, metrics: few, each counts; the past is on disk."""
     return stream(depth=1000)
+
+
+def progress() -> QoSProfile:
+    """Who joins late, such as the terminal of a resumed run, sees the stages that went before."""
+    profile = stream(depth=50)
+    profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return profile
 
 
 def latched() -> QoSProfile:

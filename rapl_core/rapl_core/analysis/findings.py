@@ -22,6 +22,8 @@ from rapl_core.policies.learning_curve import LearningCurve
 
 MEASURED_VIDEOS = 100
 """Videos of the pool that the reward is compared with the human on, as in the paper."""
+QUICKLY_MEASURED_VIDEOS = 20
+"""The same in a run with --quick: embedding them takes most of the report's time."""
 MIME = "mime"
 """In the name of behaviours in which the arm moves and the objects do not."""
 
@@ -39,24 +41,21 @@ class Findings:
     robot: tuple[ScoredVideo, ...]
 
 
-def find(record: RunRecord, scorer: Scorer, measured: int = MEASURED_VIDEOS) -> Findings:
-    """Look at the videos of a run.
-
-    :param measured: at most so many videos of the pool, and of the robot's, are compared.
-    """
+def find(record: RunRecord, scorer: Scorer) -> Findings:
+    """Look at the videos of a run: at most MEASURED_VIDEOS of the pool, and of the robot's."""
+    measured = QUICKLY_MEASURED_VIDEOS if record.settings.get("quick") else MEASURED_VIDEOS
     experts = record.expert_ids()
     behaviours = {e.episode_id: e.behaviour for e in record.pool}
     preferred, disliked = choose_examples(_liking(record), behaviours, experts)
     pool = _spread([e.episode_id for e in record.pool if e.episode_id not in experts], measured)
-    own = [e.episode_id for e in record.episodes if e.purpose == "evaluate"]
-    latest = own[-int(record.settings.get("final_episodes", 50)) :]
+    latest = _final_evaluation(record)
     sets = [("pool", pool), ("the robot's own, after learning", _spread(latest, measured))]
     mimes = [e for e in behaviours if MIME in behaviours[e]]
     return Findings(
         agreement=tuple((name, scorer.agreement(ids)) for name, ids in sets if ids),
         arm_share=arm_only_share(
             [scorer.score(e).reward for e in experts],
-            [scorer.score(e).reward for e in _spread(mimes, 20)],
+            [scorer.score(e).reward for e in _spread(mimes, measured // 4)],
         ),
         preferred=tuple(map(scorer.score, preferred)),
         disliked=tuple(map(scorer.score, disliked)),
@@ -104,6 +103,12 @@ def _liking(record: RunRecord) -> dict[str, float]:
     return record.strengths() or {
         e.episode_id: e.human_return for e in record.pool if math.isfinite(e.human_return)
     }
+
+
+def _final_evaluation(record: RunRecord) -> list[str]:
+    """Episodes of the evaluation after learning, as far as they are on disk."""
+    known = {e.episode_id for e in record.episodes}
+    return [e for e in record.stage("evaluate").result.get("episode_ids", ()) if e in known]
 
 
 def _typical(record: RunRecord, episode_ids: Sequence[str], most: int = 2) -> list[str]:

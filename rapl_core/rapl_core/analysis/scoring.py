@@ -128,7 +128,13 @@ class Scorer:
             )  # (T, S)
             if config.solver == "uniform":
                 epsilon = SHOWN_EPSILON * float(cost.mean())
-                shown = TransportConfig(cost=config.cost, solver="sinkhorn", epsilon=epsilon)
+                shown = TransportConfig(
+                    cost=config.cost,
+                    solver="sinkhorn",
+                    epsilon=epsilon,
+                    tolerance=1e-3,
+                    max_iterations=500,
+                )
             else:
                 shown = config
             found.append((solve(cost, shown), expert.episode_id))

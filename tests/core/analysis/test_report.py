@@ -84,6 +84,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         returns[episode.episode_id] = episode.human_return
     for number, distance in enumerate((0.3, 0.6, 1.0)):
         store.add(video(f"robot-{number}", "policy", distance, "evaluate"))
+    store.add(video("while-learning", "policy", 0.1, "evaluate"))
     with RankingStore(folder / "rankings.sqlite") as rankings:
         for number in range(30):
             ids = tuple(str(e) for e in rng.choice(sorted(returns), 3, replace=False))
@@ -104,7 +105,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     book.spend("align", 65.0)
     book.finish("align", {"held_out_accuracy": 0.875, "triplets": 30})
     book.begin("evaluate")
-    book.finish("evaluate", {"success_rate": 1 / 3, "episodes": 3, "human_return_mean": -4.0})
+    robot = [f"robot-{number}" for number in range(3)]
+    book.finish(
+        "evaluate",
+        {"success_rate": 1 / 3, "episodes": 3, "human_return_mean": -4.0, "episode_ids": robot},
+    )
     (folder / "policies").mkdir()
     curve((100, 0.0), (200, 0.25), (400, 0.5)).save(folder / curves.CURVE_FILE)
     return folder
