@@ -98,9 +98,7 @@ class EpisodeAssembler:
         problem = self._await_embedding(episode, state)
         return outcomes + self._settle(episode, problem)
 
-    def add_embedding(
-        self, embedding: EmbeddingSample, now_s: float = -math.inf
-    ) -> list[Outcome]:
+    def add_embedding(self, embedding: EmbeddingSample, now_s: float = -math.inf) -> list[Outcome]:
         """Take an embedding; of two for the same image the first counts."""
         self._embedding_s = max(self._embedding_s, now_s)
         place = self._awaited.pop(embedding.image, None)
