@@ -1,7 +1,7 @@
 """What the person who types ``./run_all.sh TASK`` can ask for."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -151,6 +151,10 @@ def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> R
     config = replace(config, random_steps=min(config.random_steps, config.steps // 4))
     _check(config.reward, "reward", REWARDS)
     _check(config.preset, "preset", PRESETS)
+    if config.encoder:
+        from rapl_core.representations import encoder_names  # imports torch: seconds
+
+        _check(config.encoder, "encoder", encoder_names())
     folder = arguments.out or _free_folder(runs / config.task / _run_name(config))
     if (folder / CONFIG_FILE).exists():
         raise RaplError(f"{folder} holds a run already; continue it with --resume {folder}")
@@ -202,7 +206,8 @@ def _given(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _check(name: str, kind: str, known: Sequence[str] | dict[str, str]) -> None:
+def _check(name: str, kind: str, known: Iterable[str]) -> None:
+    known = tuple(known)
     if name not in known:
         raise UnknownNameError(kind, name, known)
 
