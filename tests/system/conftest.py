@@ -21,15 +21,15 @@ def finished(rclpy_up: None, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     run = GraphRun([*TINY, "--out", str(folder)], folder.parent / "first.txt")
     try:
         probe.until_stage("train", 240, run, RUN_DEADLINE_S)
-        steps_before = int(probe.progress[-1].done)
         stop_s, left = run.interrupt()
+        seen_before = frozenset(probe.states)
         first = run
         run = GraphRun(["--resume", str(folder), "--keep-running"], folder.parent / "second.txt")
         probe.progress.clear()
         probe.until_stage("report", 1, run, RUN_DEADLINE_S)
         probe.until(lambda: "All stages are done" in run.text(), 60.0, "the report is written")
         yield FinishedRun(
-            folder, probe, run, first.text(), stop_s, left, first.process.returncode, steps_before
+            folder, probe, run, first.text(), stop_s, left, first.process.returncode, seen_before
         )
     finally:
         run.close()

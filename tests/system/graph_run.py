@@ -30,7 +30,7 @@ TINY = [
     "--triplets",
     "12",
     "--steps",
-    "480",
+    "720",
     "--worlds",
     str(WORLDS),
 ]
@@ -164,8 +164,8 @@ class FinishedRun:
     stop_s: float
     left: list[psutil.Process]
     stop_code: int
-    steps_before: int
-    """World steps of learning when Ctrl-C came."""
+    seen_before: frozenset[str]
+    """Episodes that began before Ctrl-C."""
 
 
 def stages_shown(text: str) -> list[str]:

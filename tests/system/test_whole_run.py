@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from graph_run import FinishedRun, stages_shown
+from graph_run import WORLDS, FinishedRun, stages_shown
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Train
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -17,7 +17,6 @@ from rapl_core.analysis.stages import read_stages
 from rapl_core.episodes import EpisodeStore
 from rapl_core.preferences import RankingStore
 from rapl_core.representations import Encoder, make_encoder
-from rapl_core.types import EmbeddedEpisode
 from rapl_ros import conversions, topics
 
 pytestmark = pytest.mark.timeout(900)
@@ -89,7 +88,7 @@ def test_published_rewards_equal_those_of_rapl_core_from_the_published_embedding
 ) -> None:
     probe, encoder = finished.probe, encoder_of(finished)
     store = EpisodeStore(finished.folder / "episodes")
-    experts = [EmbeddedEpisode(e, encoder.embed(store.frames(e)[1:])) for e in encoder.expert_ids]
+    experts = [encoder.embed_expert(e, store.frames(e)) for e in encoder.expert_ids]
     compared = 0
     for reward in probe.rewards:
         embedded = probe.embedded(reward.episode_id)
@@ -113,7 +112,10 @@ def test_every_episode_that_ended_got_exactly_one_reward(finished: FinishedRun) 
         for episode_id, states in probe.states.items()
         if any(state.is_last for state in states.values())
     }
-    assert ended - set(rewarded) == set()
+    unrewarded = ended - set(rewarded)
+    # Ctrl-C may come between an episode's end and its reward, once in each world.
+    assert len(unrewarded & finished.seen_before) <= WORLDS
+    assert unrewarded - finished.seen_before == set()
 
 
 def test_stamps_increase_per_world_across_resets_and_the_restart(finished: FinishedRun) -> None:
