@@ -24,7 +24,7 @@ from rapl_core.preferences import RankingStore, expert_set
 from rapl_core.representations import Encoder, encoder_names, make_encoder
 from rapl_core.streaming.batching import BatchQueue
 from rapl_core.streaming.reward_rule import RewardRule
-from rapl_core.types import EmbeddedEpisode, ExpertSet
+from rapl_core.types import ExpertSet
 from rapl_ros import conversions, qos, topics
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters
@@ -253,7 +253,7 @@ def load(choice: EncoderChoice, config: EncoderNodeConfig) -> EncoderAtWork:
     _try_out(encoder)
     ids = encoder.expert_ids or _preferred(config)
     episodes = EpisodeStore(config.run_folder / "episodes")
-    experts = tuple(EmbeddedEpisode(i, encoder.embed(episodes.frames(i)[1:])) for i in ids)
+    experts = tuple(encoder.embed_expert(i, episodes.frames(i)) for i in ids)
     info = encoder.info
     rule = RewardRule(encoder.reward_kind, info.reward_scale, encoder.transport)
     return EncoderAtWork(encoder, rule, ExpertSet(info.name, info.version, experts))

@@ -34,6 +34,8 @@ class RewardingEncoder(Protocol):
 
     def embed(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]: ...
 
+    def embed_expert(self, episode_id: str, frames: NDArray[np.uint8]) -> EmbeddedEpisode: ...
+
     def reward(self, z: NDArray[Any], experts: Sequence[EmbeddedEpisode]) -> RewardTrace: ...
 
 
@@ -90,7 +92,8 @@ class Scorer:
         self._known: dict[str, ScoredVideo] = {}
         self.experts: tuple[EmbeddedEpisode, ...] = ()
         if encoder is not None:
-            self.experts = tuple(self._embed(store.load(e)) for e in expert_ids)
+            self.experts = tuple(encoder.embed_expert(e, store.frames(e)) for e in expert_ids)
+        self._whole_experts: tuple[EmbeddedEpisode, ...] = ()
 
     def score(self, episode_id: str) -> ScoredVideo:
         """Return the video and its reward; kept for a second call.
@@ -120,7 +123,10 @@ class Scorer:
         config = encoder.transport
         x = torch.from_numpy(video.embedding.values.astype(np.float64))
         found = []
-        for expert in self.experts:
+        self._whole_experts = self._whole_experts or tuple(
+            self._embed(self._store.load(e.episode_id)) for e in self.experts
+        )
+        for expert in self._whole_experts:
             if expert.episode_id == video.episode.episode_id:
                 continue  # a video is its own best match
             cost = pairwise_cost(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rapl_core.errors import RankingError, ShapeError
 from rapl_core.representations.card import EncoderCard, RewardKind
-from rapl_core.representations.encoder import Encoder, reward_of
+from rapl_core.representations.encoder import Encoder, matched_part, reward_of
 from rapl_core.representations.extractor import FeatureExtractor
 from rapl_core.representations.features import FeatureStore, stack_frames
 from rapl_core.representations.heads import Embedder, linear_head
@@ -119,6 +119,7 @@ def fit_embedder(
     data = TrainingData(
         {name: _project(projection, features[name]) for name in used},
         split.train, split.held_out, lesson.expert_ids, lesson.ties, preset.frames,
+        preset.expert_from,
     )  # fmt: skip
     history = train_head(head, objective, data, preset, rng, on_epoch)
     explained = projection.explained if projection else 1.0
@@ -193,6 +194,7 @@ def card_for(
         transport=preset.reward,
         reward_scale=1.0,
         expert_ids=tuple(expert_ids),
+        expert_from=preset.expert_from,
         data_sha256="",
         weights_file=extractor.backbone.weights_file,
     )
@@ -202,7 +204,11 @@ def with_reward_scale(
     card: EncoderCard, embeddings: Mapping[str, NDArray[np.float32]], rng: np.random.Generator
 ) -> EncoderCard:
     """The card with the scale that :func:`fit_reward_scale` finds on training videos."""
-    experts = [EmbeddedEpisode(n, embeddings[n]) for n in card.expert_ids if n in embeddings]
+    experts = [
+        EmbeddedEpisode(name, matched_part(embeddings[name], card.expert_from))
+        for name in card.expert_ids
+        if name in embeddings
+    ]
     unscaled = replace(card, reward_scale=1.0)
     scale = fit_reward_scale(embeddings, lambda z: reward_of(unscaled, z, experts), rng)
     return replace(card, reward_scale=scale)

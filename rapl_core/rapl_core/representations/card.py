@@ -48,6 +48,8 @@ class EncoderCard:
     transport: TransportConfig
     reward_scale: float
     expert_ids: tuple[str, ...]
+    expert_from: float
+    """Share of an expert video that is passed over before its frames are matched."""
     data_sha256: str
     """Of the triplets, experts and features that it was trained on; empty if on none."""
     weights_file: str = field(default="", compare=False)
@@ -77,6 +79,8 @@ class EncoderCard:
             raise UnknownNameError("reward kind", self.reward_kind, get_args(RewardKind))
         if not (math.isfinite(self.reward_scale) and self.reward_scale > 0):
             raise ShapeError(f"reward scale is {self.reward_scale}, expected a number above 0")
+        if not 0 <= self.expert_from < 1:
+            raise ShapeError(f"expert_from is {self.expert_from}, expected 0 <= expert_from < 1")
         if self.reward_kind == "scalar" and self.dimension != 1:
             raise ShapeError(f"a scalar reward has dimension 1, got {self.dimension}")
 

@@ -88,6 +88,14 @@ class Encoder:
         """Embed frames 1..T of an episode: those arrived in by its transitions."""
         return EmbeddedEpisode(episode.episode_id, self.embed(episode.frames[1:]))
 
+    def embed_expert(self, episode_id: str, frames: NDArray[Any]) -> EmbeddedEpisode:
+        """Embed the part of an expert video that rewards are matched with.
+
+        :param frames: (T + 1, H, W, 3) all frames of the video.
+        """
+        kept = matched_part(frames[1:], self.card.expert_from)
+        return EmbeddedEpisode(episode_id, self.embed(kept))
+
     def reward(self, z: NDArray[Any], experts: Sequence[EmbeddedEpisode]) -> RewardTrace:
         """Reward of each frame of a video by this encoder's own rule and scale.
 
@@ -96,6 +104,11 @@ class Encoder:
         :raises ShapeError: for embeddings of another width, NaN, or without experts.
         """
         return reward_of(self.card, z, experts)
+
+
+def matched_part(frames: NDArray[Any], expert_from: float) -> NDArray[Any]:
+    """The frames (T, ...) of an expert video that come after a share of it; at least one."""
+    return frames[min(int(round(expert_from * len(frames))), len(frames) - 1) :]
 
 
 def reward_of(

@@ -76,10 +76,12 @@ class TrainingData:
         expert_ids: Sequence[str],
         ties: Sequence[TiedTriplet],
         frames: int | None,
+        expert_from: float = 0.0,
     ) -> None:
         """
         :param videos: (T, K) projected features of every video that is referred to.
         :param frames: resample to this many frames; None: to the shortest video's.
+        :param expert_from: share of the expert videos that is passed over.
         """
         names = sorted(videos)
         length = frames or min(len(videos[name]) for name in names)
@@ -88,6 +90,7 @@ class TrainingData:
         self.train = _rows([(t.best, t.middle, t.worst) for t in train], row)  # (M, 3)
         self.held_out = _rows([(t.best, t.middle, t.worst) for t in held_out], row)
         self.ties = _rows([(t.best, t.first, t.second) for t in ties], row)
+        self.expert_start = min(round(expert_from * length), length - 1)
         self.experts = torch.tensor([row[name] for name in expert_ids])  # (E,)
 
     def batch(
@@ -95,7 +98,8 @@ class TrainingData:
     ) -> Batch:
         """Videos of the given rows from frame ``start`` on."""
         cut = self.videos[:, start:]
-        return Batch(cut[triplets.T], cut[experts], cut[ties.T])
+        matched = self.videos[experts, max(start, self.expert_start) :]
+        return Batch(cut[triplets.T], matched, cut[ties.T])
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,9 @@ class WhereIsTheSpot:
         flat = frames[..., 0].reshape(len(frames), -1).argmax(axis=1)
         return np.stack(np.divmod(flat, SIZE), axis=1).astype(np.float32)
 
+    def embed_expert(self, episode_id: str, frames: NDArray[np.uint8]) -> EmbeddedEpisode:
+        return EmbeddedEpisode(episode_id, self.embed(frames[1:]))
+
     def reward(self, z: NDArray[Any], experts: Sequence[EmbeddedEpisode]) -> RewardTrace:
         return ot_reward(z, experts, self.transport, 1.0)
 
