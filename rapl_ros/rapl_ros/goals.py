@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from action_msgs.srv import CancelGoal
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -15,6 +16,7 @@ POLL_S = 0.1
 """Short beside a person's patience, long beside a callback."""
 
 
+RETRY_S = 1.0
 PATIENCE_S = 2.0
 """A wait shorter than this is not worth telling."""
 
@@ -37,6 +39,7 @@ class ActionPort:
         self._node, self._name, self._say = node, name, say
         self._peer = peer
         self._client = ActionClient(node, kind, name)
+        self._cancel = node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
 
     async def run(
         self,
@@ -52,22 +55,11 @@ class ActionPort:
         :param deadline_s: for the server to appear, and again for it to accept.
         :param on_wait: called several times a second while the work goes on.
         :raises PeerRestartedError: if the process that worked on it has been replaced.
-        :raises CallError: if there is no server or it refuses the goal.
+        :raises CallError: if there is no server or it goes on refusing the goal.
         """
         await self._appear(deadline_s)
         incarnation = self._node.peers[self._peer].incarnation
-        sent = self._client.send_goal_async(
-            goal, feedback_callback=lambda message: on_feedback(message.feedback)
-        )
-        sent_s = time.monotonic()
-        while not sent.done():
-            self._check(incarnation)
-            if time.monotonic() - sent_s > deadline_s:
-                raise CallError(f"{self._name} did not take the goal within {deadline_s:g} s")
-            await pause(self._node, POLL_S)
-        handle = sent.result()
-        if not handle.accepted:
-            raise CallError(f"{self._name} refused the goal: it is busy")
+        handle = await self._accepted(goal, on_feedback, incarnation, deadline_s)
         answer = handle.get_result_async()
         said, since_s = "", time.monotonic()
         while not answer.done():
@@ -81,6 +73,30 @@ class ActionPort:
             on_wait()
             await pause(self._node, POLL_S)
         return answer.result().result
+
+    async def _accepted(
+        self, goal: Any, on_feedback: Callable[[Any], None], incarnation: str, deadline_s: float
+    ) -> Any:
+        """Send the goal until it is taken; a goal that somebody who died has left is cancelled."""
+        began_s = time.monotonic()
+        while True:
+            sent = self._client.send_goal_async(
+                goal, feedback_callback=lambda message: on_feedback(message.feedback)
+            )
+            while not sent.done():
+                self._check(incarnation)
+                if time.monotonic() - began_s > deadline_s:
+                    raise CallError(f"{self._name} did not take the goal within {deadline_s:g} s")
+                await pause(self._node, POLL_S)
+            handle = sent.result()
+            if handle.accepted:
+                self._say("")
+                return handle
+            if time.monotonic() - began_s > deadline_s:
+                raise CallError(f"{self._name} refused the goal: it is busy with another")
+            self._say(f"for {self._peer} to leave an earlier goal")
+            self._cancel.call_async(CancelGoal.Request())  # zeros: whichever there is
+            await pause(self._node, RETRY_S)
 
     def _lack(self) -> str:
         """What the work waits for by the peer's own word; empty while it goes on."""
