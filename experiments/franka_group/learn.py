@@ -11,6 +11,7 @@ shows that the graph learns the same (tests/ros/test_learner_node.py). Goes on w
 
 import argparse
 import json
+import os
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -56,7 +57,7 @@ def make_videos(seed: int, stream: str, count: int, folder: Path) -> list[Episod
         simulation = Simulation(get_task(TASK))
         videos = list(collect(simulation, count, seed, stream))
         simulation.close()
-        beside = kept.with_suffix(".partial.npz")
+        beside = kept.with_suffix(f".{os.getpid()}.npz")
         np.savez(beside, episodes=np.array([asdict(v) for v in videos], dtype=object))
         beside.replace(kept)
     with np.load(kept, allow_pickle=True) as content:  # our own file of a moment ago
