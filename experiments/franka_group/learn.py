@@ -80,12 +80,18 @@ def rank(pool: list[Episode], triplets: int, seed: int) -> list[Ranking]:
 
 
 def make_encoder(
-    reward: str, preset_name: str, pool: list[Episode], rankings: list[Ranking], seed: int
+    reward: str,
+    preset_name: str,
+    pool: list[Episode],
+    rankings: list[Ranking],
+    seed: int,
+    work: Path,
 ) -> tuple[Encoder, dict[str, object]]:
     """Learn an encoder from rankings alone."""
     preset = get_preset(preset_name)
     recipe = RAW_RECIPE if reward == "imagenet" else preset.recipe
-    features = FeatureStore(make_extractor(DEFAULT_BACKBONE, recipe), precision="bfloat16")
+    extractor = make_extractor(DEFAULT_BACKBONE, recipe)
+    features = FeatureStore(extractor, work / "features", precision="bfloat16")
     for video in pool:
         features.add_episode(video)
     experts = expert_set(rankings, 10)
@@ -146,7 +152,9 @@ def main() -> None:
         reward: EpisodeReward = GroundTruthReward(scale)
     else:
         rankings = rank(pool, options.triplets, options.seed)
-        encoder, learnt = make_encoder(options.reward, options.preset, pool, rankings, options.seed)
+        encoder, learnt = make_encoder(
+            options.reward, options.preset, pool, rankings, options.seed, options.work
+        )
         by_id = {video.episode_id: video for video in pool}
         experts = [encoder.embed_expert(i, by_id[i].frames) for i in encoder.expert_ids]
         result["experts_successful"] = sum(bool(by_id[i].success) for i in encoder.expert_ids)
