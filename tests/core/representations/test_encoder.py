@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rapl_core.errors import ShapeError, WeightsError
-from rapl_core.representations.encoder import Encoder
+from rapl_core.representations.encoder import Encoder, matched_part
 from rapl_core.representations.heads import Embedder
 from rapl_core.transport import ot_reward
 from rapl_core.types import EmbeddedEpisode
@@ -82,3 +82,18 @@ def test_bad_embeddings_are_refused_by_both_rules(rapl, rlhf):
         rapl[0].reward(np.zeros((8, 32)), ())
     with pytest.raises(ShapeError, match="8 NaN or infinite"):
         rlhf[0].reward(np.full((8, 1), np.nan), ())
+
+
+def test_only_the_end_of_an_expert_video_is_matched_when_the_card_says_so(rapl, pool):
+    encoder, _ = rapl
+    frames = pool.videos[pool.names[0]]
+    whole = encoder.embed(frames[1:])
+    late = Encoder(encoder.extractor, encoder.embedder, replace(encoder.card, expert_from=2 / 3))
+    kept = late.embed_expert(pool.names[0], frames).values
+    assert len(kept) == len(whole) - round(2 / 3 * len(whole))
+    np.testing.assert_allclose(kept, whole[-len(kept) :], rtol=1e-4, atol=1e-5)
+    assert late.info.version != encoder.info.version
+
+
+def test_at_least_one_frame_of_an_expert_video_is_matched():
+    assert len(matched_part(np.zeros((2, 3)), 0.99)) == 1
