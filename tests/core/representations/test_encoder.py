@@ -88,9 +88,9 @@ def test_only_the_end_of_an_expert_video_is_matched_when_the_card_says_so(rapl, 
     encoder, _ = rapl
     frames = pool.videos[pool.names[0]]
     whole = encoder.embed(frames[1:])
-    late = Encoder(encoder.extractor, encoder.embedder, replace(encoder.card, expert_from=2 / 3))
+    late = Encoder(encoder.extractor, encoder.embedder, replace(encoder.card, expert_from=0.5))
     kept = late.embed_expert(pool.names[0], frames).values
-    assert len(kept) == len(whole) - round(2 / 3 * len(whole))
+    assert len(kept) == len(whole) - round(0.5 * len(whole))
     np.testing.assert_allclose(kept, whole[-len(kept) :], rtol=1e-4, atol=1e-5)
     assert late.info.version != encoder.info.version
 
