@@ -89,9 +89,7 @@ def main() -> None:
     assert isinstance(task, TabletopGroup)
     larger = replace(task, config=replace(task.config, image_size=SCALE * task.image_size))
     simulation = Simulation(larger)
-    page = compose(
-        [(label, push(simulation, behaviour, good)) for behaviour, good, label in ROWS]
-    )
+    page = compose([(label, push(simulation, behaviour, good)) for behaviour, good, label in ROWS])
     simulation.close()
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     page.quantize(COLOURS, dither=Image.Dither.NONE).save(arguments.out, optimize=True)
