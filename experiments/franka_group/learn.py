@@ -132,7 +132,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--triplets", type=int, default=150)
     parser.add_argument("--pool", type=int, default=300)
-    parser.add_argument("--evaluate-every", type=int, default=10_000)
+    parser.add_argument("--evaluate-every", type=int, default=5_000)
     parser.add_argument("--work", type=Path, default=Path("runs/study"), help="pools, checkpoints")
     parser.add_argument("--results", type=Path, default=HERE / "results")
     options = parser.parse_args()

@@ -15,11 +15,11 @@ class SacConfig:
     """Transitions a gradient step."""
     discount: float = 0.98
     """gamma, a control period."""
-    learning_rate: float = 7e-4
+    learning_rate: float = 4e-4
     """Of actor, critics and entropy coefficient (Adam)."""
     target_rate: float = 0.005
     """tau: share of the critics that moves into the target critics a gradient step."""
-    entropy_coefficient: str = "auto"
+    entropy_coefficient: str = "auto_0.1"
     """``auto``: learnt from 1; ``auto_0.1``: learnt from 0.1; a number: fixed."""
     buffer_size: int = 200_000
     """Transitions kept for replay."""
