@@ -73,7 +73,7 @@ def together_halfway(pusher: Pusher, state: State) -> list[Phase]:
     """Begin as preferred, then stop somewhere on the way."""
     ways = (together_from_behind, together_from_ahead, together_side_by_side)
     plan = ways[int(pusher.rng.integers(3))]
-    pusher.depth = float(pusher.rng.uniform(-0.22, -0.03))
+    pusher.depth = float(pusher.rng.uniform(-0.22, 0.0))
     return plan(pusher, state)
 
 
@@ -133,13 +133,13 @@ BEHAVIOURS = (
     Behaviour("together_from_behind", together_from_behind, 0.10, preferred=True),
     Behaviour("together_from_ahead", together_from_ahead, 0.10, preferred=True),
     Behaviour("together_side_by_side", together_side_by_side, 0.10, preferred=True),
-    Behaviour("together_halfway", together_halfway, 0.10),
+    Behaviour("together_halfway", together_halfway, 0.16),
     Behaviour("bring_together", bring_together, 0.05),
-    Behaviour("too_far", too_far, 0.05),
-    Behaviour("one_at_a_time", one_at_a_time, 0.13),
+    Behaviour("too_far", too_far, 0.06),
+    Behaviour("one_at_a_time", one_at_a_time, 0.11),
     Behaviour("only_one", only_one, 0.10),
-    Behaviour("scatter", scatter, 0.08),
+    Behaviour("scatter", scatter, 0.05),
     Behaviour("mime", mime, 0.10),
     Behaviour("stall", stall, 0.02),
-    Behaviour("random", nothing, 0.07, wander=1.0),
+    Behaviour("random", nothing, 0.05, wander=1.0),
 )
