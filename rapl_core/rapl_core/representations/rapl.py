@@ -22,8 +22,11 @@ from rapl_core.representations.features import FeatureStore
 from rapl_core.representations.presets import Preset
 from rapl_core.representations.report import AlignmentReport
 from rapl_core.representations.training import Batch, Features, TiedTriplet
-from rapl_core.transport import ot_distance
+from rapl_core.transport import ot_distance, pairwise_cost
 from rapl_core.types import Triplet
+
+PROGRESS_TEMPERATURE = 0.3
+"""In units of the cost; the videos' own distances are several units."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,9 @@ class RaplObjective:
             loss = loss + self.preset.tie_weight * (0.5 - torch.sigmoid(tied)).square().mean()
         if self.preset.expert_weight:
             loss = loss + self.preset.expert_weight * self._expert_loss(z, head(batch.experts))
+        if batch.progress is not None:
+            progress = self._progress_loss(head(batch.progress), head(batch.experts))
+            loss = loss + self.preset.progress_weight * progress
         return loss
 
     def correct(self, head: nn.Module, batch: Batch) -> torch.Tensor:
@@ -65,6 +71,16 @@ class RaplObjective:
         best, middle, worst = far / self.preset.temperature
         pairs = (middle - best, worst - middle, worst - best)
         return -torch.stack([logsigmoid(pair) for pair in pairs]).sum(0).mean()
+
+    def _progress_loss(self, frames: torch.Tensor, experts: torch.Tensor) -> torch.Tensor:
+        """Bradley-Terry over frames (2, P, D): the later one is nearer to experts (E, T, D).
+
+        Departs from the paper: whole videos alone leave the reward flat before the goal. It asks
+        nobody anything: that experts get on is known from their being experts.
+        """
+        cost = pairwise_cost(frames, experts.flatten(0, 1), self.preset.training.cost)
+        earlier, later = cost.mean(-1)  # (2, P)
+        return -logsigmoid((earlier - later) / PROGRESS_TEMPERATURE).mean()
 
 
 def align(

@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,9 @@ from torch import nn
 from rapl_core.errors import ConvergenceError
 from rapl_core.representations.presets import Preset
 from rapl_core.types import Triplet
+
+PROGRESS_PAIRS = 64
+"""Pairs of expert frames a batch."""
 
 Features = Mapping[str, NDArray[np.float32]]
 
@@ -37,6 +40,8 @@ class Batch:
     """(E, T, K)"""
     ties: torch.Tensor
     """(3, B', T, K) best, first and second video of each tied triplet; B' may be 0."""
+    progress: torch.Tensor | None = None
+    """(2, P, K) an earlier and a later frame of one expert video."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,14 @@ class TrainingData:
         cut = self.videos[:, start:]
         matched = self.videos[experts, max(start, self.expert_start) :]
         return Batch(cut[triplets.T], matched, cut[ties.T])
+
+    def progress(self, pairs: int, rng: np.random.Generator) -> torch.Tensor:
+        """(2, P, K) frames of expert videos, the later one up to a third of the video later."""
+        length = self.videos.shape[1]
+        videos = self.experts[torch.from_numpy(rng.integers(len(self.experts), size=pairs))]
+        earlier = rng.integers(max(length - 1, 1), size=pairs)
+        later = np.minimum(earlier + rng.integers(1, max(length // 3, 2), size=pairs), length - 1)
+        return torch.stack([self.videos[videos, torch.from_numpy(t)] for t in (earlier, later)])
 
 
 @dataclass(frozen=True)
@@ -165,11 +178,14 @@ def _batches(data: TrainingData, preset: Preset, rng: np.random.Generator) -> li
         experts = rng.permutation(len(data.experts))[: preset.experts_per_batch]
         ties = rng.permutation(len(data.ties))[: len(rows)]
         batches.append(
-            data.batch(
-                data.train[rows],
-                data.experts[torch.from_numpy(experts)],
-                data.ties[torch.from_numpy(ties)],
-                start=int(rng.integers(longest + 1)),
+            replace(
+                data.batch(
+                    data.train[rows],
+                    data.experts[torch.from_numpy(experts)],
+                    data.ties[torch.from_numpy(ties)],
+                    start=int(rng.integers(longest + 1)),
+                ),
+                progress=data.progress(PROGRESS_PAIRS, rng) if preset.progress_weight else None,
             )
         )
     return batches

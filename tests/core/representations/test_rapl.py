@@ -14,7 +14,7 @@ from rapl_core.representations.alignment import Lesson
 from rapl_core.representations.presets import AUTHORS_CODE, PAPER, TUNED
 from rapl_core.representations.rapl import RaplObjective, align, fit_rapl
 from rapl_core.representations.report import wilson_interval
-from rapl_core.representations.training import Batch, TiedTriplet
+from rapl_core.representations.training import Batch, TiedTriplet, TrainingData
 from rapl_core.transport import ot_distance
 from rapl_core.types import EmbeddedEpisode, Triplet
 
@@ -162,3 +162,28 @@ def test_bad_input_is_refused_by_name(features, pool):
     with pytest.raises(ConvergenceError, match="learning_rate"):
         broken = replace(SMALL, learning_rate=1e30)
         align(features, pool.triplets, pool.expert_ids, broken, rng)
+
+
+def test_progress_pairs_are_frames_of_one_expert_video_in_order():
+    videos = {n: np.arange(8, dtype=np.float32)[:, None] + 100 * i for i, n in enumerate("abc")}
+    data = TrainingData(videos, [], [], ["a", "c"], [], None)
+    earlier, later = data.progress(200, np.random.default_rng(0)).squeeze(-1).numpy()
+    assert set(np.unique(earlier // 100)) == {0, 2}, "frames of experts alone"
+    assert np.array_equal(earlier // 100, later // 100), "of one video"
+    assert (later > earlier).all() and (later - earlier <= 2).all()
+
+
+def test_the_progress_term_asks_that_later_frames_be_nearer_to_the_experts_end():
+    preset = replace(TUNED, expert_weight=0.0)
+    videos = torch.zeros(3, 1, 4, 2)
+    experts = torch.tensor([[[1.0, 0.0]]])
+    far, near = torch.tensor([[-1.0, 0.0]]), torch.tensor([[0.5, 0.0]])
+    losses = [
+        float(
+            RaplObjective(preset).loss(
+                torch.nn.Identity(), Batch(videos, experts, videos[:, :0], torch.stack(pair))
+            )
+        )
+        for pair in ((far, near), (near, far))
+    ]
+    assert losses[0] < losses[1]
