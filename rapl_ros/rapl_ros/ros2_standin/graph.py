@@ -9,13 +9,13 @@ from typing import Final, NamedTuple
 import rclpy
 from rclpy.node import Node
 
-SETTLE_S: Final = 0.5
+SETTLE_S: Final = 1.0
 """Quiet time after which the graph counts as discovered; without a daemon nothing knows sooner."""
 
-ALONE_S: Final = 2.0
+ALONE_S: Final = 5.0
 """Quiet time after which nobody else is there; a loaded machine takes this long to answer."""
 
-DISCOVERY_S: Final = 5.0
+DISCOVERY_S: Final = 10.0
 """Longest wait for a graph that keeps changing, or for a name that was asked for."""
 
 
