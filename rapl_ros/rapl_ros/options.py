@@ -17,7 +17,7 @@ REWARDS = {
 }
 PRESETS = {
     "tuned": "our best settings, which depart from the paper where docs/paper_notes.md says so",
-    "paper": "the paper's text to the letter",
+    "paper": "the paper's text; what it leaves open is in docs/paper_notes.md",
     "authors_code": "what the authors' published code does",
 }
 

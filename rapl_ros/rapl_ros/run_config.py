@@ -33,9 +33,9 @@ class RunConfig:
     """World steps with random actions before the first gradient step."""
     checkpoint_every: int = 5_000
     """World steps between two checkpoints: what a killed learner loses at most."""
-    evaluate_every: int = 5_000
+    evaluate_every: int = 10_000
     """World steps between two evaluations while learning."""
-    evaluate_episodes: int = 20
+    evaluate_episodes: int = 50
     """Episodes of each of these."""
     final_episodes: int = 50
     """Episodes of the evaluation after learning."""

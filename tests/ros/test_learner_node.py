@@ -85,7 +85,7 @@ class Training:
         sent = self.client.send_goal_async(
             goal, feedback_callback=lambda msg: self.feedback.append(msg.feedback)
         )
-        self.handle = probe.wait(sent, DISCOVERY_S, "the goal is answered")
+        self.handle = probe.wait(sent, 60.0, "the goal is answered")
 
     def result(self, deadline_s: float) -> Any:
         answer = self.handle.get_result_async()

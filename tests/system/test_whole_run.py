@@ -113,8 +113,9 @@ def test_every_episode_that_ended_got_exactly_one_reward(finished: FinishedRun) 
         if any(state.is_last for state in states.values())
     }
     unrewarded = ended - set(rewarded)
-    # Ctrl-C may come between an episode's end and its reward, once in each world.
-    assert len(unrewarded & finished.seen_before) <= WORLDS
+    # Ctrl-C may come between an episode's end and its reward: a controller lets no more than two
+    # episodes a world wait for theirs.
+    assert len(unrewarded & finished.seen_before) <= 2 * WORLDS
     assert unrewarded - finished.seen_before == set()
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rapl_core.representations.encoder import matched_part
 from rapl_core.representations.reward_scale import TARGET, fit_reward_scale
 from rapl_core.types import EmbeddedEpisode, RewardTrace
 
@@ -25,7 +26,8 @@ def test_rewards_that_are_not_negative_are_left_alone():
 def test_an_alignment_stores_it(rapl, features, pool):
     encoder, report = rapl
     z = {name: encoder.embed_features(features[name]) for name in pool.names}
-    experts = [EmbeddedEpisode(n, z[n]) for n in encoder.expert_ids]
+    start = encoder.card.expert_from
+    experts = [EmbeddedEpisode(n, matched_part(z[n], start)) for n in encoder.expert_ids]
     means = np.sort([encoder.reward(v, experts).values.mean() for v in z.values()])
     assert means[: len(means) // 2].mean() == pytest.approx(TARGET, rel=0.05)
     assert report.reward_scale == encoder.info.reward_scale
