@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Evaluate, Train
 from rclpy.action import ActionClient
-from ros_harness import DISCOVERY_S, NodeProcess, Probe
+from ros_harness import NodeProcess, Probe
 from std_srvs.srv import Trigger
 
 from rapl_core.policies import (
