@@ -144,6 +144,7 @@ def main() -> None:
     folder = options.work / name
     folder.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
+    begun_at = commit()  # what runs, whatever is committed meanwhile
     pool = make_videos(options.seed, "demonstrate", options.pool, options.work)
     result: dict[str, object] = {"reward": options.reward, "seed": options.seed}
     result["preset"] = options.preset if is_preset else ""
@@ -186,7 +187,7 @@ def main() -> None:
         "schedule": asdict(schedule),
         "sac": asdict(sac),
         "wall_s": time.monotonic() - began,
-        "commit": commit(),
+        "commit": begun_at,
         "machine": machine(),
         "versions": versions(),
     }
