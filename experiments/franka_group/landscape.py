@@ -70,7 +70,7 @@ def draw(lanes: tuple[float, ...]) -> dict[str, tuple[NDArray[np.uint8], NDArray
                 )
                 frames.append(simulation.render(0))
                 state = simulation.dynamics.state(simulation.data[0])
-                human.append(simulation.task.human_reward(state))
+                human.append(simulation.task.human_reward(state, state))
     simulation.close()
     shape = (len(lanes), len(PATH))
     return {

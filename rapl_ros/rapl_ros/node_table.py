@@ -8,14 +8,11 @@ from typing import Any
 import yaml
 
 from rapl_core.analysis import provenance
+from rapl_core.tasks import get_task
 from rapl_ros.run_config import RunConfig
 from rapl_ros.supervisor import ProcessSpec
 
 NAMESPACE = "/rapl"
-
-HUMAN_REWARD_SCALE = 4.35
-"""On r* when it is the reward: what rapl_core.policies.fit_scale, the rule of all rewards, gives
-for 60 demonstrations of franka_group (seed 0)."""
 
 ParameterValue = bool | int | float | str
 
@@ -67,7 +64,7 @@ def run_parameters(config: RunConfig, folder: Path) -> dict[str, ParameterValue]
         "task": config.task,
         "worlds": config.worlds,
         "seed": config.seed,
-        "human_reward_scale": HUMAN_REWARD_SCALE,
+        "human_reward_scale": get_task(config.task).human_reward_scale,
         "run_folder": str(folder.resolve()),
         "clock_file": str((folder / "clock_ns").resolve()),
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",

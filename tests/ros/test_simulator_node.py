@@ -60,7 +60,7 @@ def test_an_episode_is_a_join_of_states_images_and_joints(probe, controller, sim
             assert (image.width, image.height, image.encoding) == (112, 112, "rgb8")
             assert image.header.frame_id == f"env_{world}/camera_optical_frame"
         assert all(s.has_truth and len(s.values) == 18 for s in own.values())
-        truth = TASK.human_reward(np.array(own[7].values))
+        truth = TASK.human_reward(np.array(own[7].values), np.array(own[0].values))
         assert own[7].human_reward == pytest.approx(truth, abs=1e-12)
         assert not np.array_equal(
             conversions.image_from_ros(images[world][0]),

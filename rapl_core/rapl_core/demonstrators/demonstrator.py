@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rapl_core.demonstrators.behaviours import BEHAVIOURS, Behaviour
-from rapl_core.demonstrators.phases import PhaseFollower
-from rapl_core.demonstrators.pushing import Pusher
+from rapl_core.demonstrators.behaviour import Actor, Behaviour
+from rapl_core.demonstrators.grouping import grouping_behaviours
 from rapl_core.errors import UnknownNameError
 from rapl_core.tasks.base import Task
+from rapl_core.tasks.registry import task_names
 from rapl_core.tasks.tabletop import TabletopGroup
 
 SMOOTHNESS = 0.8
@@ -21,34 +21,32 @@ class Demonstrator:
     """
 
     def __init__(
-        self, task: TabletopGroup, behaviour: Behaviour, rng: np.random.Generator, noise: float
+        self, task: Task, behaviour: Behaviour, rng: np.random.Generator, noise: float
     ) -> None:
         self.behaviour = behaviour.name
-        self._task = task
-        self._plan = behaviour.plan
+        self._begin = behaviour.begin
         self._wander = behaviour.wander
         self._noise = noise
         self._rng = rng
-        self._drift = np.zeros(2)
-        self._follower: PhaseFollower | None = None
+        self._size = len(task.action_names)
+        self._drift = np.zeros(self._size)
+        self._actor: Actor | None = None
 
     def act(self, state: NDArray[np.float64], step: int) -> NDArray[np.float64]:
         """Return the action (A,) in [-1, 1] at a state (S,).
 
         :param step: step of the episode; 0 makes a new plan from the state.
         """
-        if step == 0 or self._follower is None:
-            config = self._task.config
-            phases = self._plan(Pusher(config, self._rng), state)
-            self._follower = PhaseFollower(phases, config.speed, (7, 8))
-            self._drift = np.zeros(2)
-        action = self._follower.act(state)
+        if step == 0 or self._actor is None:
+            self._actor = self._begin(self._rng, state)
+            self._drift = np.zeros(self._size)
+        action = self._actor.act(state)
         if self._wander:
-            kick = np.sqrt(1 - SMOOTHNESS**2) * self._rng.normal(size=2)
+            kick = np.sqrt(1 - SMOOTHNESS**2) * self._rng.normal(size=self._size)
             self._drift = SMOOTHNESS * self._drift + kick
             action = action + self._wander * self._drift
         if self._noise:
-            action = action + self._noise * self._rng.normal(size=2)
+            action = action + self._noise * self._rng.normal(size=self._size)
         return np.clip(action, -1.0, 1.0)
 
 
@@ -57,9 +55,13 @@ def behaviours_of(task: Task) -> dict[str, Behaviour]:
 
     :raises UnknownNameError: if nobody has scripted the task.
     """
-    if not isinstance(task, TabletopGroup):
-        raise UnknownNameError("scripted task", task.name, ["franka_group"])
-    return {behaviour.name: behaviour for behaviour in BEHAVIOURS}
+    # each family of tasks adds its scripts here
+    if isinstance(task, TabletopGroup):
+        behaviours = grouping_behaviours(task)
+    else:
+        known = [name for name in task_names() if name != task.name]
+        raise UnknownNameError("scripted task", task.name, known)
+    return {behaviour.name: behaviour for behaviour in behaviours}
 
 
 def behaviour_names(task: Task) -> list[str]:
@@ -77,7 +79,6 @@ def make_demonstrator(
     known = behaviours_of(task)
     if behaviour not in known:
         raise UnknownNameError("behaviour", behaviour, known)
-    assert isinstance(task, TabletopGroup)
     return Demonstrator(task, known[behaviour], rng, noise)
 
 

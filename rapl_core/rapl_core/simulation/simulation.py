@@ -126,7 +126,7 @@ class Simulation:
         return Snapshot(
             step=len(states) - 1,
             state=state,
-            human_reward=self.task.human_reward(state),
+            human_reward=self.task.human_reward(state, states[0]),
             success=is_last and self.task.success(np.stack(states)),
             is_last=is_last,
             terminated=False,

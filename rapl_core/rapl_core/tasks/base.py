@@ -83,8 +83,16 @@ class Task(Protocol):
     def bind(self, model: mujoco.MjModel) -> Dynamics:
         """Return the dynamics on a compiled model."""
 
-    def human_reward(self, state: NDArray[np.float64]) -> float:
-        """Return r* of one state (S,)."""
+    @property
+    def human_reward_scale(self) -> float:
+        """Factor on r* where it is the robot's reward: what ``policies.fit_scale`` gives for 60
+        demonstrations of seed 0."""
+
+    def human_reward(self, state: NDArray[np.float64], start: NDArray[np.float64]) -> float:
+        """Return r* of one state (S,).
+
+        :param start: the first state (S,) of its episode: where objects stood.
+        """
 
     def success(self, states: NDArray[np.float64]) -> bool:
         """Return whether an episode of states (T + 1, S) did what the human prefers."""

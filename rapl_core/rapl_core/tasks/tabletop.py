@@ -68,6 +68,7 @@ class TabletopGroup:
     name: str
     title: str
     config: TabletopConfig = field(default_factory=TabletopConfig)
+    human_reward_scale: float = 4.35
 
     camera: str = "front"
     joint_names: tuple[str, ...] = (
@@ -170,8 +171,11 @@ class TabletopGroup:
         far = self.config.goal_far - self.config.cube_half
         return float(max(near - cube[0], cube[0] - far, 0.0))
 
-    def human_reward(self, state: NDArray[np.float64]) -> float:
-        """Return r* = -max(d1, d2) - ||p1 - p2|| in m (paper, Section 4.1, grouping)."""
+    def human_reward(self, state: NDArray[np.float64], start: NDArray[np.float64]) -> float:
+        """Return r* = -max(d1, d2) - ||p1 - p2|| in m (paper, Section 4.1, grouping).
+
+        :param start: not needed here.
+        """
         state = self._checked(state)
         return float(-max(state[16], state[17]) - np.linalg.norm(state[10:13] - state[13:16]))
 

@@ -31,7 +31,7 @@ def test_an_unknown_task_names_the_known_ones():
 
 def test_human_reward_is_the_papers(task):
     state = state_with(task, (0.0, 0.0), (0.1, 0.1))
-    assert task.human_reward(state) == pytest.approx(-0.23 - np.hypot(0.1, 0.1))
+    assert task.human_reward(state, state) == pytest.approx(-0.23 - np.hypot(0.1, 0.1))
 
 
 def test_the_goal_is_bounded_on_both_sides(task):
@@ -63,4 +63,4 @@ def test_policy_features_are_finite_and_of_one_size(task):
 
 def test_a_state_of_another_shape_is_refused_by_name(task):
     with pytest.raises(ShapeError, match=r"franka_group.*\(18,\)"):
-        task.human_reward(np.zeros(17))
+        task.human_reward(np.zeros(17), np.zeros(18))

@@ -1,27 +1,15 @@
 """What people are shown: preferred and disliked ways of handling two cubes."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from rapl_core.demonstrators.phases import Phase, State
+from rapl_core.demonstrators.behaviour import Behaviour
+from rapl_core.demonstrators.phases import Phase, PhaseFollower, State
 from rapl_core.demonstrators.pushing import CUBES, GRIPPER, Pusher
+from rapl_core.tasks.tabletop import TabletopConfig, TabletopGroup
 
 Plan = Callable[[Pusher, State], list[Phase]]
-
-
-@dataclass(frozen=True)
-class Behaviour:
-    """A scripted way of handling the cubes."""
-
-    name: str
-    plan: Plan
-    share: float
-    """Of a pool that spreads the human's reward."""
-    preferred: bool = False
-    wander: float = 0.0
-    """Size of smooth random motion added to the script."""
 
 
 def together_from_behind(pusher: Pusher, state: State) -> list[Phase]:
@@ -129,17 +117,40 @@ def nothing(pusher: Pusher, state: State) -> list[Phase]:
     return []
 
 
-BEHAVIOURS = (
-    Behaviour("together_from_behind", together_from_behind, 0.10, preferred=True),
-    Behaviour("together_from_ahead", together_from_ahead, 0.10, preferred=True),
-    Behaviour("together_side_by_side", together_side_by_side, 0.10, preferred=True),
-    Behaviour("together_halfway", together_halfway, 0.16),
-    Behaviour("bring_together", bring_together, 0.05),
-    Behaviour("too_far", too_far, 0.06),
-    Behaviour("one_at_a_time", one_at_a_time, 0.11),
-    Behaviour("only_one", only_one, 0.10),
-    Behaviour("scatter", scatter, 0.05),
-    Behaviour("mime", mime, 0.10),
-    Behaviour("stall", stall, 0.02),
-    Behaviour("random", nothing, 0.05, wander=1.0),
-)
+def grouping_behaviours(task: TabletopGroup) -> tuple[Behaviour, ...]:
+    """Return how the two cubes of a grouping task are handled."""
+
+    def scripted(
+        plan: Plan,
+        share: float,
+        preferred: bool = False,
+        wander: float = 0.0,
+        telling: bool = False,
+        name: str = "",
+    ) -> Behaviour:
+        begin = _starter(plan, task.config)
+        return Behaviour(name or plan.__name__, begin, share, preferred, wander, telling)
+
+    return (
+        scripted(together_from_behind, 0.10, preferred=True),
+        scripted(together_from_ahead, 0.10, preferred=True),
+        scripted(together_side_by_side, 0.10, preferred=True, telling=True),
+        scripted(together_halfway, 0.16),
+        scripted(bring_together, 0.05),
+        scripted(too_far, 0.06),
+        scripted(one_at_a_time, 0.11, telling=True),
+        scripted(only_one, 0.10),
+        scripted(scatter, 0.05),
+        scripted(mime, 0.10),
+        scripted(stall, 0.02),
+        scripted(nothing, 0.05, wander=1.0, name="random"),
+    )
+
+
+def _starter(
+    plan: Plan, config: TabletopConfig
+) -> Callable[[np.random.Generator, State], PhaseFollower]:
+    def begin(rng: np.random.Generator, state: State) -> PhaseFollower:
+        return PhaseFollower(plan(Pusher(config, rng), state), config.speed, (7, 8))
+
+    return begin
