@@ -20,7 +20,6 @@ GRACE_S = 10.0
 
 # Before rclpy, torch or MuJoCo are imported; child processes inherit all of it.
 os.environ[SESSION_VARIABLE] = uuid.uuid4().hex
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 101)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["OMP_NUM_THREADS"] = "1"
@@ -74,6 +73,15 @@ def _is_excused(process: psutil.Process) -> bool:
         return "multiprocessing.resource_tracker" in " ".join(process.cmdline())
     except psutil.Error:
         return True
+
+
+@pytest.fixture(scope="module", autouse=True)
+def domain_of_the_module() -> None:
+    """No module meets the nodes of another; tests that kill nodes have one each, see own_domain."""
+    if not os.environ.get(WITHOUT_ROS_VARIABLE):
+        from own_domain import enter_own_domain
+
+        enter_own_domain()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -265,11 +265,13 @@ class DemonstratorNode(RaplNode):
             self._go_on(job, now_s)
 
     def peer_found(self, peer: str, restarted: bool) -> None:
-        """A simulator that has restarted knows nothing of the collection: reset it again."""
+        """A simulator that has restarted knows nothing of the collection: reset it again.
+
+        What is known of the world stays: its world_info may have come before its heartbeat.
+        """
         if peer == topics.SIMULATOR and restarted and self._job and self._job.collection:
             self._job.resets.clear()
             self._job.collection.interrupt()
-            self._world = None  # its latched one follows
 
     def _publish(self, commands: Iterable[Command]) -> None:
         for command in commands:

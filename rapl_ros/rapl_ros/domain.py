@@ -11,6 +11,9 @@ from rapl_core.errors import RaplError
 DOMAINS = range(1, 102)
 """Safe on Linux: above, the ports reach into the ephemeral range."""
 
+PARTICIPANTS = 32
+"""Processes of a domain on one machine that find each other where discovery is LOCALHOST."""
+
 
 def graph_environment(folder: Path, environment: Mapping[str, str] | None = None) -> dict[str, str]:
     """Return what every process of a run needs in its environment; what is set already stays.
@@ -32,15 +35,24 @@ def graph_environment(folder: Path, environment: Mapping[str, str] | None = None
 def free_domain() -> int:
     """Return a domain in which nobody on this machine is, at random among those.
 
-    Fast DDS binds UDP port 7410 + 250 * domain for the first process of a domain.
-
     :raises RaplError: if all are taken.
     """
     for domain in random.sample(DOMAINS, len(DOMAINS)):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7410 + 250 * domain))
-            except OSError:
-                continue
+        if is_free(domain):
             return domain
     raise RaplError("every ROS domain from 1 to 101 is in use on this machine; set ROS_DOMAIN_ID")
+
+
+def is_free(domain: int) -> bool:
+    """Whether no process on this machine is in ``domain``.
+
+    Fast DDS binds UDP port 7410 + 250 * domain + 2 * n for the n-th process of a domain; the
+    first one may have left while others are still there.
+    """
+    for participant in range(PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7410 + 250 * domain + 2 * participant))
+            except OSError:
+                return False
+    return True

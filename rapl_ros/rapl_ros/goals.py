@@ -17,6 +17,9 @@ POLL_S = 0.1
 
 
 RETRY_S = 1.0
+ANSWER_S = 8.0
+"""So long without an answer, a goal is sent again: a server that has just discovered this client
+may have lost its answer, since services are discovered one end at a time."""
 PATIENCE_S = 2.0
 """A wait shorter than this is not worth telling."""
 
@@ -83,11 +86,14 @@ class ActionPort:
             sent = self._client.send_goal_async(
                 goal, feedback_callback=lambda message: on_feedback(message.feedback)
             )
-            while not sent.done():
+            sent_s = time.monotonic()
+            while not sent.done() and time.monotonic() - sent_s < ANSWER_S:
                 self._check(incarnation)
                 if time.monotonic() - began_s > deadline_s:
                     raise CallError(f"{self._name} did not take the goal within {deadline_s:g} s")
                 await pause(self._node, POLL_S)
+            if not sent.done():
+                continue  # taken all the same, it is refused now and cancelled below
             handle = sent.result()
             if handle.accepted:
                 self._say("")

@@ -129,6 +129,9 @@ class Peer:
         self.incarnation = msg.incarnation
         self.status, self.detail = msg.status, msg.detail
         self._heard_s = time.monotonic()
+        if restarted and self.alive:  # it is back sooner than the lease ran out
+            self._change(False)
+            self._on_lost(self.name)
         if is_new or not self.alive:
             self._change(True)
             self._on_found(self.name, restarted)

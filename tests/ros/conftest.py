@@ -9,7 +9,7 @@ from ros_harness import NodeProcess, Probe, ros
 
 @pytest.fixture(scope="module")
 def rclpy_context() -> Iterator[None]:
-    """rclpy for the tests of a module."""
+    """rclpy for the tests of a module; a module that kills nodes has its own one."""
     with ros():
         yield
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from own_domain import enter_own_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -164,8 +165,13 @@ class Probe:
 
 
 @contextmanager
-def ros() -> Iterator[None]:
-    """rclpy for a module's tests."""
+def ros(own_domain: bool = False) -> Iterator[None]:
+    """rclpy for tests.
+
+    :param own_domain: leave the module's domain, where killed nodes still show, for a fresh one.
+    """
+    if own_domain:
+        enter_own_domain()
     rclpy.init()
     try:
         yield

@@ -3,13 +3,29 @@
 import shutil
 import signal
 import time
+from collections.abc import Iterator
 
 import pytest
 from collecting import ABORTED, SUCCEEDED, Graph
+from rapl_msgs.action import Collect
+from rapl_msgs.msg import WorldInfo
+from rapl_msgs.srv import Reset
+from rclpy.action import ActionClient
+from ros_harness import Probe, ros
 
 from rapl_core.tasks import get_task
+from rapl_ros import qos, topics
+from rapl_ros.demonstrator_node import DemonstratorNode
+from rapl_ros.liveness import Heartbeat
 
 TASK = get_task("franka_group")
+
+
+@pytest.fixture
+def rclpy_context() -> Iterator[None]:
+    """Tests that kill nodes have a domain each."""
+    with ros(own_domain=True):
+        yield
 
 
 @pytest.fixture
@@ -66,6 +82,42 @@ def test_a_killed_simulator_is_asked_again_when_it_is_back(probe, make_graph):
     assert answer.status == SUCCEEDED and len(set(answer.result.episode_ids)) == 10
     stamps = {s.episode_id: s.header.stamp.sec for s in graph.states if s.world == 0}
     assert sorted(stamps, key=stamps.get) == list(stamps)  # in the order of arrival
+
+
+def test_a_simulator_whose_world_info_comes_before_its_heartbeat_is_asked_again(probe):
+    """Two topics have no order: after a restart either may be first."""
+    simulator, recorder = Probe(topics.SIMULATOR), Probe(topics.RECORDER)
+    demonstrator = DemonstratorNode()
+    resets = []
+
+    def on_reset(request, response):
+        resets.append(request)
+        response.success = True
+        response.episode_ids = [f"demonstrate-s0-w{w}-{len(resets):06d}-0" for w in request.worlds]
+        return response
+
+    simulator.node.create_service(Reset, topics.of_node("~/reset", topics.SIMULATOR), on_reset)
+    infos = simulator.node.create_publisher(WorldInfo, topics.WORLD_INFO, qos.latched())
+    infos.publish(WorldInfo(task=TASK.name, worlds=2))
+    hearts = [Heartbeat(simulator.node), Heartbeat(recorder.node)]
+    for node in (simulator.node, recorder.node, demonstrator):
+        probe.executor.add_node(node)
+    collect = topics.of_node(topics.COLLECT, topics.DEMONSTRATOR)
+    client = ActionClient(probe.node, Collect, collect)
+    try:
+        for heart in hearts:
+            heart.report("active")
+        probe.until(client.server_is_ready, 20.0, "the demonstrator appears")
+        client.send_goal_async(Collect.Goal(episodes=4))
+        probe.until(lambda: resets, 20.0, "the worlds are reset")
+        hearts[0].incarnation = "another"
+        hearts[0].beat()
+        probe.until(lambda: len(resets) > 1, 10.0, "they are reset again")
+    finally:
+        client.destroy()
+        demonstrator.destroy_node()
+        simulator.close()
+        recorder.close()
 
 
 def test_without_a_recorder_a_collection_is_given_up_by_name(probe, make_graph):

@@ -2,7 +2,7 @@
 
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Evaluate, Train
 from rclpy.action import ActionClient
-from ros_harness import NodeProcess, Probe
+from ros_harness import NodeProcess, Probe, ros
 from std_srvs.srv import Trigger
 
 from rapl_core.policies import (
@@ -43,6 +43,13 @@ SCHEDULE = ScheduleConfig(
 START_S = 90.0
 """torch takes seconds to import, many on a busy machine."""
 Start = Callable[..., NodeProcess]
+
+
+@pytest.fixture
+def rclpy_context() -> Iterator[None]:
+    """Tests that kill nodes have a domain each."""
+    with ros(own_domain=True):
+        yield
 
 
 class Graph:

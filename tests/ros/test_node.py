@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs.msg import Heartbeat
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_harness import DISCOVERY_S, Probe
+from ros_harness import DISCOVERY_S, Probe, ros
 from sensor_msgs.msg import Image
 
 from rapl_ros import qos, topics
@@ -24,6 +24,13 @@ LONELY = "lonely_node"
 def importable(monkeypatch):
     here = str(Path(__file__).parent)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
+
+
+@pytest.fixture
+def rclpy_context() -> Iterator[None]:
+    """Tests that kill nodes have a domain each."""
+    with ros(own_domain=True):
+        yield
 
 
 class Watcher(RaplNode):
@@ -74,6 +81,26 @@ def test_a_killed_peer_is_noticed_within_five_seconds_and_its_restart_is_known(w
     probe.until(lambda: node.events[-1][0] == "found encoder True", DISCOVERY_S, "it is back")
     probe.until(
         lambda: probe.status_of("watcher").get("message") == "ok", 5.0, "diagnostics are well"
+    )
+
+
+def test_a_peer_that_is_back_before_its_lease_ran_out_is_told_as_gone_all_the_same(watcher, start):
+    node, probe = watcher
+    told = probe.listen(DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics())
+    peer = start(LONELY)
+    probe.until(lambda: node.events, DISCOVERY_S, "the peer is found")
+    start(LONELY)  # the lease of the first one cannot run out before: it still lives
+    probe.until(lambda: len(node.events) >= 3, DISCOVERY_S, "its successor is noticed")
+    peer.kill()
+    assert [event for event, _ in node.events[:3]] == [
+        "found encoder False",
+        "lost encoder",
+        "found encoder True",
+    ]
+    probe.until(
+        lambda: any("encoder is gone" in s.message for array in told for s in array.status),
+        3.0,
+        "the loss is on /diagnostics",
     )
 
 

@@ -34,16 +34,6 @@ def output(*arguments: str) -> str:
 
 @pytest.fixture(scope="module", autouse=True)
 def subject() -> Iterator[None]:
-    # a domain without the ghosts of nodes that tests before this one killed
-    before = os.environ["ROS_DOMAIN_ID"]
-    os.environ["ROS_DOMAIN_ID"] = str((int(before) + 50) % 101 + 1)
-    try:
-        yield from _subject()
-    finally:
-        os.environ["ROS_DOMAIN_ID"] = before
-
-
-def _subject() -> Iterator[None]:
     process = subprocess.Popen([sys.executable, str(SUBJECT)])
     try:
         deadline = time.monotonic() + DEADLINE_S

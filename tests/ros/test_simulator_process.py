@@ -2,10 +2,11 @@
 
 import signal
 import time
+from collections.abc import Iterator
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from ros_harness import NodeProcess
+from ros_harness import NodeProcess, ros
 from sensor_msgs.msg import Image
 from state_controller import Controller, wait_for
 
@@ -14,6 +15,13 @@ from rapl_ros import qos, topics
 
 MODULE = "rapl_ros.simulator_node"
 TASK = get_task("franka_group")
+
+
+@pytest.fixture
+def rclpy_context() -> Iterator[None]:
+    """Tests that kill nodes have a domain each."""
+    with ros(own_domain=True):
+        yield
 
 
 @pytest.fixture
