@@ -18,8 +18,8 @@ POLL_S = 0.1
 
 RETRY_S = 1.0
 ANSWER_S = 8.0
-"""So long without an answer, a goal is sent again: a server that has just discovered this client
-may have lost its answer, since services are discovered one end at a time."""
+"""So long without an answer, a request is sent again. A node that was killed looks ready for up to
+20 s, so that what is meant for its successor may have gone to nobody."""
 PATIENCE_S = 2.0
 """A wait shorter than this is not worth telling."""
 
@@ -153,14 +153,18 @@ class ParameterPort:
             await pause(self._node, POLL_S)
         self._say("")
         incarnation, began_s = peer.incarnation, time.monotonic()
-        future = self._client.call_async(_request(name, value))
+        future, sent_s = self._client.call_async(_request(name, value)), began_s
         while not future.done():
             late = time.monotonic() - began_s > deadline_s
-            if late or peer.incarnation != incarnation:
+            # Where setting takes long, the peer's executor is at it and beats no heart meanwhile.
+            lost = peer.heard_s - sent_s > ANSWER_S
+            if late or lost or peer.incarnation != incarnation:
                 self._client.remove_pending_request(future)
                 if late:
                     raise CallError(f"{what} was not set within {deadline_s:g} s")
-                raise PeerRestartedError(f"{self._peer} restarted while {name} was set")
+                if not lost:
+                    raise PeerRestartedError(f"{self._peer} restarted while {name} was set")
+                future, sent_s = self._client.call_async(_request(name, value)), time.monotonic()
             await pause(self._node, POLL_S)
         result = future.result().results[0]
         if not result.successful:

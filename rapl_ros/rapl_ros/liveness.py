@@ -85,7 +85,9 @@ class Peer:
         self.status = ""
         self.detail = ""
         self._on_lost, self._on_found = on_lost, on_found
-        self._changed_s = self._heard_s = time.monotonic()
+        self.heard_s = time.monotonic()
+        """When its last message came; a node in a long callback sends none."""
+        self._changed_s = self.heard_s
         self._node = node
         self._subscription = node.create_subscription(
             HeartbeatMsg,
@@ -109,8 +111,8 @@ class Peer:
             if self.incarnation:
                 return f"{self.name} is gone for {since:.0f} s"
             return f"{self.name} never appeared" if since > DISCOVERY_S else ""
-        if now - self._heard_s > SILENCE_S:
-            return f"{self.name} hangs: alive, and silent for {now - self._heard_s:.0f} s"
+        if now - self.heard_s > SILENCE_S:
+            return f"{self.name} hangs: alive, and silent for {now - self.heard_s:.0f} s"
         return ""
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
@@ -128,7 +130,7 @@ class Peer:
         is_new = msg.incarnation != self.incarnation
         self.incarnation = msg.incarnation
         self.status, self.detail = msg.status, msg.detail
-        self._heard_s = time.monotonic()
+        self.heard_s = time.monotonic()
         if restarted and self.alive:  # it is back sooner than the lease ran out
             self._change(False)
             self._on_lost(self.name)
@@ -138,4 +140,4 @@ class Peer:
 
     def _change(self, alive: bool) -> None:
         self.alive = alive
-        self._changed_s = self._heard_s = time.monotonic()
+        self._changed_s = self.heard_s = time.monotonic()

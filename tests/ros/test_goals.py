@@ -13,7 +13,7 @@ from ros_harness import DISCOVERY_S, Probe
 from rapl_ros import goals, topics
 from rapl_ros.background import wakeable_future
 from rapl_ros.calls import pause
-from rapl_ros.goals import ActionPort
+from rapl_ros.goals import ActionPort, ParameterPort
 from rapl_ros.node import RaplNode
 
 NAME = topics.of_node(topics.COLLECT, topics.DEMONSTRATOR)
@@ -24,6 +24,7 @@ class Worker(RaplNode):
 
     def __init__(self) -> None:
         super().__init__(topics.DEMONSTRATOR)
+        self.declare_parameter("colour", "red")
         self.at_work = False
         self.taken = 0
         self._server = ActionServer(
@@ -62,6 +63,7 @@ class Scene:
             self.probe.executor.add_node(node)
         self.said: list[str] = []
         self.port = ActionPort(self.asker, Collect, NAME, topics.DEMONSTRATOR, self.said.append)
+        self.parameters = ParameterPort(self.asker, topics.DEMONSTRATOR, self.said.append)
 
     def ask(self, episodes: int) -> Future:
         done = wakeable_future(self.asker)
@@ -100,6 +102,29 @@ def test_a_goal_whose_answer_is_lost_is_sent_again(
     monkeypatch.setattr(client, "send_goal_async", lose_the_first)
     answer = scene.probe.wait(scene.ask(episodes=1), DISCOVERY_S, "the goal ends")
     assert answer.success and len(sent) == 2
+
+
+def test_a_parameter_whose_setting_is_lost_is_set_again(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(goals, "ANSWER_S", 0.3)
+    client = scene.parameters._client
+    call, called = client.call_async, []
+
+    def lose_the_first(request: Any) -> Future:
+        called.append(request)
+        return Future() if len(called) == 1 else call(request)
+
+    monkeypatch.setattr(client, "call_async", lose_the_first)
+    done = wakeable_future(scene.asker)
+
+    async def run() -> None:
+        await scene.parameters.set("colour", "blue", DISCOVERY_S)
+        done.set_result(None)
+
+    scene.probe.executor.create_task(run)
+    scene.probe.until(done.done, DISCOVERY_S, "the parameter is set")
+    assert scene.worker.get_parameter("colour").value == "blue" and len(called) == 2
 
 
 def test_a_goal_that_somebody_has_left_is_cancelled(scene: Scene) -> None:

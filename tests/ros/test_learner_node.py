@@ -224,7 +224,6 @@ def test_a_killed_learner_goes_on_from_its_checkpoint(
 
 
 @pytest.mark.timeout(240)
-@pytest.mark.slow  # in the whole suite the second goal stays unanswered; alone it passes
 def test_save_and_cancel_leave_a_checkpoint_and_a_busy_learner_refuses(
     probe: Probe, start: Start, tmp_path: Path
 ) -> None:
