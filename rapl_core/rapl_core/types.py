@@ -2,17 +2,17 @@
 
 import re
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rapl_core.errors import RankingError, ShapeError
+from rapl_core.errors import RankingError, ShapeError, UnknownNameError
 
 EPISODE_ID = re.compile(r"[a-z0-9_-]{1,64}")
 
 Purpose = Literal["train", "evaluate", "demonstrate"]
-Verdict = Literal["ranked", "undecided", "skipped"]
+Verdict = Literal["ranked", "undecided", "skipped", "withdrawn"]
 
 
 def check_episode_id(episode_id: str) -> str:
@@ -98,11 +98,24 @@ class Ranking:
     created_ns: int = 0
     """Wall clock."""
     replaces: str = ""
-    """The ranking_id that this one corrects."""
+    """The ranking_id that this one corrects or, withdrawn, takes back."""
+    shown_ns: int = 0
+    """Wall clock at which the videos began to play; 0: unknown."""
+    source: str = ""
+    """What showed them, e.g. ``web``."""
 
     def __post_init__(self) -> None:
         if not self.ranking_id or len(self.ranking_id) > 64:
             raise RankingError(f"ranking_id {self.ranking_id!r} is not 1 to 64 characters")
+        if self.verdict not in get_args(Verdict):
+            raise UnknownNameError("verdict", str(self.verdict), get_args(Verdict))
+        if self.verdict == "withdrawn" and not self.replaces:
+            raise RankingError(
+                f"ranking {self.ranking_id} is withdrawn and names none to take back"
+            )
+        for name in ("annotator", "query_id", "replaces", "source"):
+            if len(getattr(self, name)) > 64:
+                raise RankingError(f"ranking {self.ranking_id}: {name} has more than 64 characters")
         for episode_id in self.episode_ids:
             check_episode_id(episode_id)
         if len(self.episode_ids) < 2:

@@ -1,30 +1,27 @@
 """The node ``preference``: whom to ask about what, the answers, and what is learnt from them."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from rapl_msgs.action import Align
-from rapl_msgs.msg import EpisodeInfo, Query
-from rapl_msgs.srv import GetQuery, ListRankings, SubmitRanking
+from rapl_msgs.msg import EpisodeInfo
+from rapl_msgs.srv import GetProgress, GetQuery, ListRankings, SubmitRanking, Undo
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError, UnknownNameError
-from rapl_core.preferences import QuerySelector, RankingStore, UniformQueries
+from rapl_core.preferences import DeskConfig, QueryDesk, RankingStore
+from rapl_core.preferences.progress import RankingProgress, measure_progress, needed
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import Worker
 from rapl_ros.node import RaplNode, main
-from rapl_ros.parameters import declare_config
+from rapl_ros.parameters import ConfigParameters
 
 LIST_LIMIT = 100
-STRATEGIES: dict[str, Callable[[np.random.Generator, int], QuerySelector]] = {
-    "uniform": UniformQueries
-}
+STRATEGIES = ("uniform",)
 
 
 class AlignmentCancelledError(RaplError):
@@ -32,19 +29,15 @@ class AlignmentCancelledError(RaplError):
 
 
 @dataclass(frozen=True)
-class PreferenceConfig:
+class PreferenceConfig(DeskConfig):
     """Parameters of the preference node."""
 
     run_folder: Path = Path(".")
     """Run folder: episodes/, rankings.sqlite, encoders/."""
+    rankings_wanted: int = field(default=0, metadata={"minimum": 0})
+    """Rankings wanted in all, for the figures of progress; 0: no number. May change at run time."""
     strategy: Literal["uniform"] = "uniform"
     """Which videos to ask about next."""
-    query_size: int = field(default=3, metadata={"minimum": 2, "maximum": 10})
-    """Videos in a query."""
-    lease_s: float = field(default=600.0, metadata={"minimum": 1.0, "maximum": 86400.0})
-    """Wall time in which a query must be answered."""
-    seed: int = field(default=0, metadata={"minimum": 0})
-    """The order of queries follows from it."""
     purposes: tuple[str, ...] = ("demonstrate",)
     """Purposes of the episodes that are the pool of videos."""
     experts: int = field(default=10, metadata={"minimum": 1, "maximum": 1000})
@@ -60,7 +53,8 @@ class PreferenceNode(RaplNode):
     """Hands out queries, stores rankings, trains encoders.
 
     Subscribes ``episode`` (rapl_msgs/EpisodeInfo). Serves ``~/get_query`` (rapl_msgs/GetQuery),
-    ``~/submit_ranking`` (rapl_msgs/SubmitRanking), ``~/list_rankings`` (rapl_msgs/ListRankings) and
+    ``~/submit_ranking`` (rapl_msgs/SubmitRanking), ``~/undo`` (rapl_msgs/Undo),
+    ``~/list_rankings`` (rapl_msgs/ListRankings), ``~/get_progress`` (rapl_msgs/GetProgress) and
     ``~/align`` (rapl_msgs/Align), one goal at a time.
 
     A submitted ranking is answered with success only when it is on disk; that write is the one
@@ -69,7 +63,7 @@ class PreferenceNode(RaplNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.PREFERENCE, **options)
-        self.config = declare_config(self, PreferenceConfig())
+        self._parameters = ConfigParameters(self, PreferenceConfig(), writable=("rankings_wanted",))
         folder = self.config.run_folder
         self._episodes = EpisodeStore(folder / "episodes")
         self._store = RankingStore(folder / "rankings.sqlite", self._episodes.__contains__)
@@ -78,12 +72,16 @@ class PreferenceNode(RaplNode):
             for summary in self._episodes.summaries()
             if summary.purpose in self.config.purposes
         }
+        self._desk = QueryDesk(self._store, self.config)
+        self._measured: tuple[int, RankingProgress] | None = None
         self._worker: Worker | None = None
         self._aligning = False
         self.subscribe_to(EpisodeInfo, topics.EPISODE, self._on_episode, qos.event())
         self.create_service(GetQuery, topics.GET_QUERY, self._on_get_query)
         self.create_service(SubmitRanking, topics.SUBMIT_RANKING, self._on_submit)
+        self.create_service(Undo, topics.UNDO, self._on_undo)
         self.create_service(ListRankings, topics.LIST_RANKINGS, self._on_list)
+        self.create_service(GetProgress, topics.GET_PROGRESS, self._on_progress)
         self._align_server = ActionServer(
             self,
             Align,
@@ -93,6 +91,11 @@ class PreferenceNode(RaplNode):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         self._tell()
+
+    @property
+    def config(self) -> PreferenceConfig:
+        """The parameters as they stand."""
+        return self._parameters.value
 
     def close(self) -> None:
         """Close the store; an alignment under way leaves nothing behind."""
@@ -111,24 +114,15 @@ class PreferenceNode(RaplNode):
         self, request: GetQuery.Request, response: GetQuery.Response
     ) -> GetQuery.Response:
         try:
-            query = self._next_query(request.annotator, request.strategy or self.config.strategy)
+            strategy = request.strategy or self.config.strategy
+            if strategy not in STRATEGIES:
+                raise UnknownNameError("query strategy", strategy, STRATEGIES)
+            query = self._desk.next(conversions.query_request_from_ros(request), self._pool)
         except RaplError as error:
             response.message = str(error)
             return response
-        response.success, response.query = True, query
+        response.success, response.query = True, conversions.query_to_ros(query)
         return response
-
-    def _next_query(self, annotator: str, strategy: str) -> Query:
-        if strategy not in STRATEGIES:
-            raise UnknownNameError("query strategy", strategy, STRATEGIES)
-        past = [ranking.episode_ids for ranking in self._store.all()]
-        past += [query.episode_ids for query in self._store.open_queries()]
-        # The number of queries before is part of the seed: a restart goes on, not back.
-        rng = np.random.default_rng([self.config.seed, len(past)])
-        selector = STRATEGIES[strategy](rng, self.config.query_size)
-        episode_ids = selector.next(sorted(self._pool), past)
-        query = self._store.lease(episode_ids, annotator, strategy, self.config.lease_s)
-        return conversions.query_to_ros(query)
 
     def _on_submit(
         self, request: SubmitRanking.Request, response: SubmitRanking.Response
@@ -136,11 +130,29 @@ class PreferenceNode(RaplNode):
         try:
             ranking = conversions.ranking_from_ros(request.ranking)
             response.rankings = self._store.add(ranking)
+            response.given, response.needed = self._given_and_needed()
+        except RaplError as error:
+            self.diagnostics.count("refused_rankings")
+            self.get_logger().warning(f"ranking refused: {error}")
+            response.message = str(error)
+            return response
+        response.success = True
+        self._tell()
+        return response
+
+    def _on_undo(self, request: Undo.Request, response: Undo.Response) -> Undo.Response:
+        try:
+            undone = self._store.undo(
+                request.annotator, request.withdrawal_id, request.ranking_id, self.config.lease_s
+            )
+            response.given, response.needed = self._given_and_needed()
         except RaplError as error:
             self.diagnostics.count("refused_rankings")
             response.message = str(error)
             return response
-        response.success = True
+        response.success, response.ranking = True, conversions.ranking_to_ros(undone.ranking)
+        if undone.query is not None:
+            response.query = conversions.query_to_ros(undone.query)
         self._tell()
         return response
 
@@ -150,8 +162,13 @@ class PreferenceNode(RaplNode):
         annotator = request.annotator or None
         try:
             limit = request.limit or LIST_LIMIT
-            rankings = self._store.all(annotator, request.offset, limit)
-            response.total = self._store.count(annotator)
+            if request.effective:
+                found = self._store.effective(annotator)
+                rankings = found[request.offset : request.offset + limit]
+                response.total = len(found)
+            else:
+                rankings = self._store.all(annotator, request.offset, limit)
+                response.total = self._store.count(annotator)
         except RaplError as error:
             response.message = str(error)
             return response
@@ -159,10 +176,42 @@ class PreferenceNode(RaplNode):
         response.success = True
         return response
 
+    def _on_progress(
+        self, request: GetProgress.Request, response: GetProgress.Response
+    ) -> GetProgress.Response:
+        try:
+            progress = self._progress()
+        except RaplError as error:
+            response.message = str(error)
+            return response
+        response.videos = len(self._pool)
+        response.strategy = self.config.strategy
+        conversions.fill_progress(response, progress, request.annotator)
+        response.success = True
+        return response
+
+    def _progress(self) -> RankingProgress:
+        """Agreement is over all pairs of all rankings: measured anew only after an answer."""
+        with self._store.reading() as ledger:
+            rows, now = len(ledger.rankings), time.time_ns()
+            if self._measured is None or self._measured[0] != rows:
+                self._measured = rows, measure_progress(ledger, 0, now)
+            return replace(
+                self._measured[1],
+                wanted=self.config.rankings_wanted,
+                open_queries=len(ledger.open_queries(now)),
+            )
+
+    def _given_and_needed(self) -> tuple[int, int]:
+        with self._store.reading() as ledger:
+            given = ledger.given()
+        return given, needed(self.config.rankings_wanted, given)
+
     def _tell(self) -> None:
         if not self._aligning:
-            what = f"{len(self._pool)} videos, {self._store.count()} rankings"
-            self.heartbeat.report("active", what)
+            given, missing = self._given_and_needed()
+            what = f"{len(self._pool)} videos, {given} rankings"
+            self.heartbeat.report("active", f"{what}, {missing} needed" if missing else what)
 
     # Alignment
 

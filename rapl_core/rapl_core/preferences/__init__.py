@@ -4,6 +4,7 @@ from rapl_core.preferences.exchange import export_jsonl, import_jsonl, read_json
 from rapl_core.preferences.expert_set import expert_set, strengths
 from rapl_core.preferences.queries import QuerySelector, UniformQueries
 from rapl_core.preferences.query import Query
+from rapl_core.preferences.query_desk import DeskConfig, QueryDesk, QueryRequest
 from rapl_core.preferences.simulated_human import Answer, SimulatedHuman
 from rapl_core.preferences.store import RankingStore
 from rapl_core.preferences.triplets import (
@@ -16,8 +17,11 @@ from rapl_core.preferences.triplets import (
 
 __all__ = [
     "Answer",
+    "DeskConfig",
     "Pair",
     "Query",
+    "QueryDesk",
+    "QueryRequest",
     "QuerySelector",
     "RankingSplit",
     "RankingStore",

@@ -1,9 +1,12 @@
 """A query: the videos that one annotator has been asked to rank."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-from rapl_core.errors import RankingError
+from rapl_core.errors import RankingError, UnknownNameError
 from rapl_core.types import check_episode_id
+
+QueryPurpose = Literal["new", "repeat", "shared"]
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,9 @@ class Query:
     """Wall clock."""
     expires_ns: int
     """Wall clock; an answer after it is refused."""
+    purpose: QueryPurpose = "new"
+    """``repeat``: the same person once more, for consistency; ``shared``: what another person has
+    answered, for agreement."""
 
     def __post_init__(self) -> None:
         for episode_id in self.episode_ids:
@@ -27,3 +33,7 @@ class Query:
             raise RankingError(
                 f"query {self.query_id} needs two or more different videos, got {self.episode_ids}"
             )
+        if self.purpose not in get_args(QueryPurpose):
+            raise UnknownNameError("purpose of a query", self.purpose, get_args(QueryPurpose))
+        if len(self.annotator) > 64:
+            raise RankingError(f"query {self.query_id}: annotator has more than 64 characters")

@@ -4,7 +4,7 @@ import json
 import math
 from dataclasses import asdict, fields
 
-from rapl_core.errors import RankingError
+from rapl_core.errors import RankingError, UnknownNameError
 from rapl_core.types import Ranking
 
 _FIELDS = frozenset(field.name for field in fields(Ranking))
@@ -39,17 +39,21 @@ def ranking_from_json(text: str) -> Ranking:
         return Ranking(
             ranking_id=_text(values, "ranking_id"),
             annotator=_text(values, "annotator"),
-            episode_ids=tuple(str(e) for e in values["episode_ids"]),
+            episode_ids=_texts(values, "episode_ids"),
             ranks=tuple(int(rank) for rank in values["ranks"]),
             verdict=values.get("verdict", "ranked"),
             query_id=str(values.get("query_id", "")),
             response_s=math.nan if response_s is None else float(response_s),
             created_ns=int(values.get("created_ns", 0)),
             replaces=str(values.get("replaces", "")),
+            shown_ns=int(values.get("shown_ns", 0)),
+            source=str(values.get("source", "")),
         )
+    except UnknownNameError as error:
+        raise RankingError(str(error)) from error
     except KeyError as error:
         raise RankingError(f"a ranking lacks the field {error}") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise RankingError(f"a ranking has a field of the wrong kind: {error}") from error
 
 
@@ -58,3 +62,10 @@ def _text(values: dict[str, object], name: str) -> str:
     if not isinstance(value, str):
         raise RankingError(f"{name} is {value!r}, expected text")
     return value
+
+
+def _texts(values: dict[str, object], name: str) -> tuple[str, ...]:
+    value = values[name]
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        raise TypeError(f"{name} is {value!r}, expected a list of texts")
+    return tuple(value)

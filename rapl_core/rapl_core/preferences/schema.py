@@ -9,31 +9,48 @@ from rapl_core.errors import CorruptFileError, RankingError
 APPLICATION_ID = 0x5241504C
 """``RAPL`` in ASCII, in the file's header: tells a ranking store from other databases."""
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Version 1 had no purpose of a query, and one expiry in place of leases; it is migrated."""
 
 BUSY_TIMEOUT_S = 30.0
 """How long a writer waits for another before it gives up."""
 
 _MAGIC = b"SQLite format 3\x00"
 
+# All three tables only ever grow: what a row said is never changed or removed.
 _TABLES = """
-CREATE TABLE IF NOT EXISTS rankings (
+CREATE TABLE rankings (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     ranking_id TEXT NOT NULL UNIQUE,
     annotator TEXT NOT NULL,
     replaces TEXT NOT NULL,
     content TEXT NOT NULL
 );
-CREATE INDEX IF NOT EXISTS rankings_by_annotator ON rankings (annotator, number);
-CREATE INDEX IF NOT EXISTS rankings_by_replaces ON rankings (replaces);
-CREATE TABLE IF NOT EXISTS queries (
-    query_id TEXT PRIMARY KEY,
+CREATE TABLE queries (
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    query_id TEXT NOT NULL UNIQUE,
     annotator TEXT NOT NULL,
     strategy TEXT NOT NULL,
+    purpose TEXT NOT NULL,
     episode_ids TEXT NOT NULL,
-    created_ns INTEGER NOT NULL,
+    created_ns INTEGER NOT NULL
+);
+CREATE TABLE leases (
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    query_id TEXT NOT NULL,
     expires_ns INTEGER NOT NULL
 );
+"""
+
+_MIGRATE_1 = f"""
+ALTER TABLE queries RENAME TO queries_1;
+{_TABLES[_TABLES.index("CREATE TABLE queries") :]}
+INSERT INTO queries (query_id, annotator, strategy, purpose, episode_ids, created_ns)
+    SELECT query_id, annotator, strategy, 'new', episode_ids, created_ns
+    FROM queries_1 ORDER BY created_ns, query_id;
+INSERT INTO leases (query_id, expires_ns)
+    SELECT query_id, expires_ns FROM queries_1 ORDER BY created_ns, query_id;
+DROP TABLE queries_1;
 """
 
 
@@ -69,9 +86,10 @@ def check_database(path: Path) -> None:
         return  # another process has only just created it
     if application != APPLICATION_ID:
         raise CorruptFileError(f"{path} is a database of another program; it is left as is")
-    if version != SCHEMA_VERSION:
+    if not 1 <= version <= SCHEMA_VERSION:
         raise CorruptFileError(
-            f"{path} has the format {version}, expected {SCHEMA_VERSION}; it is left as is"
+            f"{path} has the format {version}, expected 1 to {SCHEMA_VERSION}: it is of a later "
+            "program; it is left as is"
         )
 
 
@@ -115,11 +133,13 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _create_tables(connection: sqlite3.Connection) -> None:
-    """Create what is missing, in one transaction, so that two first users do not collide."""
+    """Create or migrate in one transaction: two first users do not collide, and a process that is
+    killed half-way leaves the file as it was."""
     connection.execute("BEGIN IMMEDIATE")
     (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    if tables == 0:
-        for statement in _TABLES.split(";"):
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if tables == 0 or version < SCHEMA_VERSION:
+        for statement in (_TABLES if tables == 0 else _MIGRATE_1).split(";"):
             connection.execute(statement)
         connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
         connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")

@@ -6,19 +6,38 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, NamedTuple, Self
 
 from rapl_core.errors import CorruptFileError, RankingError
-from rapl_core.preferences.query import Query
+from rapl_core.preferences.admission import check_answer, check_correction, check_known
+from rapl_core.preferences.ledger import Ledger
+from rapl_core.preferences.query import Query, QueryPurpose
 from rapl_core.preferences.ranking_json import ranking_from_json, ranking_to_json
 from rapl_core.preferences.schema import open_database
 from rapl_core.types import Ranking
 
-_EFFECTIVE = (
-    "NOT EXISTS (SELECT 1 FROM rankings AS later WHERE later.replaces = rankings.ranking_id)"
-)
+UNDO_LEASE_S = 600.0
+
+
+class Choice(NamedTuple):
+    """What to ask somebody."""
+
+    episode_ids: tuple[str, ...]
+    """In the order in which to show them."""
+    strategy: str
+    purpose: QueryPurpose = "new"
+
+
+class Undone(NamedTuple):
+    """What was taken back."""
+
+    ranking: Ranking
+    query: Query | None
+    """Its query, leased anew; None if it was unasked."""
 
 
 class RankingStore:
@@ -27,7 +46,7 @@ class RankingStore:
     Safe under several threads, several processes and ``kill -9``: a ranking whose
     :meth:`add` returned is on disk, one whose did not is there entirely or not at all.
 
-    :param path: SQLite file, created if need be.
+    :param path: SQLite file, created if need be; one of an older format is migrated.
     :param known_episode: tells whether an episode exists; rankings of others are refused.
     :raises CorruptFileError: if the file is damaged; it is left as is.
     :raises RankingError: if the folder cannot be written.
@@ -38,13 +57,17 @@ class RankingStore:
         self._known_episode = known_episode
         self._lock = threading.RLock()
         self._connection = open_database(self.path)
+        self._ledger = Ledger()
+        self._read = {"rankings": 0, "queries": 0, "leases": 0}
+
+    # Answers
 
     def add(self, ranking: Ranking) -> int:
         """Store ``ranking`` and return how many rankings there are; sending twice stores once.
 
-        :raises RankingError: if the episodes are unknown, the query is unknown, expired or about
-            other videos, the ranking that it replaces does not exist, or another ranking has
-            its id.
+        :raises RankingError: if the episodes are unknown, the query is unknown, expired,
+            answered, somebody else's or about other videos, the ranking that it replaces does not
+            exist or is replaced already, or another ranking has its id.
         """
         return self._add(ranking, check_query=True)
 
@@ -53,27 +76,54 @@ class RankingStore:
         return self._add(ranking, check_query=False)
 
     def _add(self, ranking: Ranking, check_query: bool) -> int:
-        content = ranking_to_json(ranking)
-        with self._transaction() as rows:
-            held = rows.execute(
-                "SELECT content FROM rankings WHERE ranking_id = ?", (ranking.ranking_id,)
-            ).fetchone()
+        with self._transaction() as (rows, ledger):
+            held = ledger.ranking(ranking.ranking_id)
             if held is None:
-                self._check_episodes(ranking)
-                self._check_replaces(rows, ranking)
-                if check_query and ranking.query_id:
-                    self._check_answer(rows, ranking)
-                rows.execute(
-                    "INSERT INTO rankings (ranking_id, annotator, replaces, content) "
-                    "VALUES (?, ?, ?, ?)",
-                    (ranking.ranking_id, ranking.annotator, ranking.replaces, content),
-                )
-            elif held[0] != content:
+                what = f"ranking {ranking.ranking_id}"
+                check_known(ranking.episode_ids, self._known_episode, what)
+                check_correction(ranking, ledger)
+                if check_query:
+                    check_answer(ranking, ledger, time.time_ns())
+                _insert_ranking(rows, ranking)
+                return len(ledger.rankings) + 1
+            if ranking_to_json(held) != ranking_to_json(ranking):
                 raise RankingError(
                     f"ranking {ranking.ranking_id} is already stored with another content; "
                     "a correction needs a new ranking_id and the old one in 'replaces'"
                 )
-            return int(rows.execute("SELECT count(*) FROM rankings").fetchone()[0])
+            return len(ledger.rankings)
+
+    def undo(
+        self,
+        annotator: str,
+        withdrawal_id: str,
+        ranking_id: str = "",
+        lease_s: float = UNDO_LEASE_S,
+    ) -> Undone:
+        """Take back a ranking by a further row and lease its query again.
+
+        :param withdrawal_id: id of that row; sent twice, it takes back once.
+        :param ranking_id: what to take back; empty: the annotator's newest that counts.
+        :raises RankingError: if there is none, it is another person's, or was replaced already.
+        """
+        now = time.time_ns()
+        with self._transaction() as (rows, ledger):
+            earlier = ledger.ranking(withdrawal_id)
+            if earlier is not None:
+                return _undone_before(ledger, earlier, annotator)
+            target = _to_undo(ledger, annotator, ranking_id)
+            withdrawal = replace(
+                target, ranking_id=withdrawal_id, verdict="withdrawn", ranks=(),
+                replaces=target.ranking_id, created_ns=now, shown_ns=0, response_s=float("nan"),
+            )  # fmt: skip
+            check_correction(withdrawal, ledger)
+            _insert_ranking(rows, withdrawal)
+            if not ledger.knows_query(target.query_id):
+                return Undone(target, None)
+            expires_ns = now + round(lease_s * 1e9)
+            query = replace(ledger.query(target.query_id), expires_ns=expires_ns)
+            _insert_lease(rows, query)
+            return Undone(target, query)
 
     def all(
         self, annotator: str | None = None, offset: int = 0, limit: int | None = None
@@ -84,46 +134,63 @@ class RankingStore:
         :param offset: how many to pass over.
         :param limit: how many at most.
         """
-        return self._select("1", annotator, offset, limit)
+        with self.reading() as ledger:
+            found = (r for r in ledger.rankings if annotator is None or r.annotator == annotator)
+            return list(islice(found, offset, None if limit is None else offset + limit))
 
     def effective(self, annotator: str | None = None) -> list[Ranking]:
-        """Return the rankings that no later one replaces, in the order stored."""
-        return self._select(_EFFECTIVE, annotator, 0, None)
+        """Return the rankings that count, in the order stored: neither replaced nor taken back."""
+        with self.reading() as ledger:
+            return list(ledger.effective(annotator))
 
     def count(self, annotator: str | None = None) -> int:
         """Return how many rankings are stored, those that were replaced included."""
-        with self._reading() as rows:
-            row = rows.execute(
-                "SELECT count(*) FROM rankings WHERE ?1 IS NULL OR annotator = ?1", (annotator,)
-            ).fetchone()
-        return int(row[0])
+        with self.reading() as ledger:
+            if annotator is None:
+                return len(ledger.rankings)
+            return sum(ranking.annotator == annotator for ranking in ledger.rankings)
+
+    # Queries
 
     def lease(
-        self, episode_ids: Sequence[str], annotator: str, strategy: str, duration_s: float
+        self,
+        episode_ids: Sequence[str],
+        annotator: str,
+        strategy: str,
+        duration_s: float,
+        purpose: QueryPurpose = "new",
     ) -> Query:
         """Hand out a query about ``episode_ids`` that must be answered within ``duration_s``."""
-        now = time.time_ns()
-        query = Query(
-            query_id=uuid.uuid4().hex,
-            episode_ids=tuple(episode_ids),
-            annotator=annotator,
-            strategy=strategy,
-            created_ns=now,
-            expires_ns=now + round(duration_s * 1e9),
-        )
-        self._check_known(query.episode_ids, f"query {query.query_id}")
-        with self._transaction() as rows:
-            rows.execute(
-                "INSERT INTO queries VALUES (?, ?, ?, ?, ?, ?)",
-                (
-                    query.query_id,
-                    query.annotator,
-                    query.strategy,
-                    " ".join(query.episode_ids),
-                    query.created_ns,
-                    query.expires_ns,
-                ),
-            )
+        choice = Choice(tuple(episode_ids), strategy, purpose)
+        return self.lease_next(lambda _: choice, annotator, duration_s)
+
+    def lease_next(
+        self, choose: Callable[[Ledger], Choice | Query], annotator: str, duration_s: float
+    ) -> Query:
+        """Hand out what ``choose`` says; nobody else can be given anything meanwhile.
+
+        :param choose: sees the ledger and says what to ask, or which query to lease again. Others
+            wait for it, in other processes too: it must be quick.
+        """
+        with self._transaction() as (rows, ledger):
+            chosen = choose(ledger)
+            now = time.time_ns()
+            expires_ns = now + round(duration_s * 1e9)
+            if isinstance(chosen, Query):
+                query = replace(chosen, expires_ns=expires_ns)
+            else:
+                query = Query(
+                    query_id=uuid.uuid4().hex,
+                    episode_ids=chosen.episode_ids,
+                    annotator=annotator,
+                    strategy=chosen.strategy,
+                    created_ns=now,
+                    expires_ns=expires_ns,
+                    purpose=chosen.purpose,
+                )
+                check_known(query.episode_ids, self._known_episode, f"query {query.query_id}")
+                _insert_query(rows, query)
+            _insert_lease(rows, query)
         return query
 
     def query(self, query_id: str) -> Query:
@@ -131,22 +198,22 @@ class RankingStore:
 
         :raises RankingError: if there is none of that id.
         """
-        with self._reading() as rows:
-            return _query(rows, query_id)
+        with self.reading() as ledger:
+            return ledger.query(query_id)
 
     def open_queries(self, annotator: str | None = None) -> list[Query]:
         """Return the queries that are neither answered nor expired, the oldest first."""
-        with self._reading() as rows:
-            answered = {
-                ranking_from_json(content).query_id
-                for (content,) in rows.execute("SELECT content FROM rankings")
-            }
-            found = rows.execute(
-                "SELECT query_id FROM queries WHERE expires_ns > ?1 "
-                "AND (?2 IS NULL OR annotator = ?2) ORDER BY created_ns, query_id",
-                (time.time_ns(), annotator),
-            ).fetchall()
-            return [_query(rows, query_id) for (query_id,) in found if query_id not in answered]
+        with self.reading() as ledger:
+            return ledger.open_queries(time.time_ns(), annotator)
+
+    # The file
+
+    @contextmanager
+    def reading(self) -> Iterator[Ledger]:
+        """Hold the ledger, up to date with what any process has stored; other threads wait."""
+        with self._guarded() as rows:
+            self._catch_up(rows)
+            yield self._ledger
 
     def close(self) -> None:
         """Close the file; the store is of no use afterwards."""
@@ -164,31 +231,24 @@ class RankingStore:
     ) -> None:
         self.close()
 
-    def _select(
-        self, condition: str, annotator: str | None, offset: int, limit: int | None
-    ) -> list[Ranking]:
-        with self._reading() as rows:
-            found = rows.execute(
-                f"SELECT content FROM rankings WHERE {condition} "
-                "AND (?1 IS NULL OR annotator = ?1) ORDER BY number LIMIT ?2 OFFSET ?3",
-                (annotator, -1 if limit is None else limit, offset),
-            ).fetchall()
-        return [ranking_from_json(content) for (content,) in found]
-
     @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """Hold the write lock; commit at the end, roll back on an error."""
-        with self._reading() as rows:
+    def _transaction(self) -> Iterator[tuple[sqlite3.Connection, Ledger]]:
+        """Hold the write lock; commit at the end, roll back on an error.
+
+        The ledger shows what was committed before: own rows enter it at the next reading.
+        """
+        with self._guarded() as rows:
             rows.execute("BEGIN IMMEDIATE")
             try:
-                yield rows
+                self._catch_up(rows)
+                yield rows, self._ledger
             except BaseException:
                 rows.execute("ROLLBACK")
                 raise
             rows.execute("COMMIT")
 
     @contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection]:
+    def _guarded(self) -> Iterator[sqlite3.Connection]:
         """Hold the connection; what SQLite reports becomes an error that names the file."""
         with self._lock:
             try:
@@ -200,50 +260,93 @@ class RankingStore:
             except sqlite3.DatabaseError as error:
                 raise CorruptFileError(f"{self.path} is damaged: {error}") from error
 
-    def _check_episodes(self, ranking: Ranking) -> None:
-        self._check_known(ranking.episode_ids, f"ranking {ranking.ranking_id}")
+    def _catch_up(self, rows: sqlite3.Connection) -> None:
+        for number, content in self._new(rows, "rankings", "content"):
+            self._ledger.add_ranking(ranking_from_json(content))
+            self._read["rankings"] = number
+        columns = "query_id, episode_ids, annotator, strategy, created_ns, purpose"
+        for number, *values in self._new(rows, "queries", columns):
+            query_id, episode_ids, annotator, strategy, created_ns, purpose = values
+            videos = tuple(episode_ids.split(" "))
+            query = Query(query_id, videos, annotator, strategy, created_ns, 0, purpose)
+            self._ledger.add_query(query)
+            self._read["queries"] = number
+        for number, query_id, expires_ns in self._new(rows, "leases", "query_id, expires_ns"):
+            self._ledger.add_lease(query_id, expires_ns)
+            self._read["leases"] = number
 
-    def _check_known(self, episode_ids: Sequence[str], what: str) -> None:
-        if self._known_episode is None:
-            return
-        unknown = [e for e in episode_ids if not self._known_episode(e)]
-        if unknown:
-            raise RankingError(f"{what} names unknown episodes: {', '.join(unknown)}")
+    def _new(self, rows: sqlite3.Connection, table: str, columns: str) -> list[Any]:
+        """Rows that were not read yet; numbers only grow, also across a crash."""
+        return rows.execute(
+            f"SELECT number, {columns} FROM {table} WHERE number > ? ORDER BY number",
+            (self._read[table],),
+        ).fetchall()
 
-    def _check_replaces(self, rows: sqlite3.Connection, ranking: Ranking) -> None:
-        if not ranking.replaces:
-            return
-        held = rows.execute(
-            "SELECT annotator FROM rankings WHERE ranking_id = ?", (ranking.replaces,)
-        ).fetchone()
-        if held is None:
+
+def _to_undo(ledger: Ledger, annotator: str, ranking_id: str) -> Ranking:
+    if ranking_id:
+        found = ledger.ranking(ranking_id)
+        if found is None:
+            raise RankingError(f"nothing to undo: there is no ranking {ranking_id!r}")
+        if found.annotator != annotator:
             raise RankingError(
-                f"ranking {ranking.ranking_id} replaces {ranking.replaces}, which is not stored"
+                f"nothing to undo: ranking {ranking_id} is {found.annotator!r}'s, "
+                f"not {annotator!r}'s"
             )
-        if held[0] != ranking.annotator:
-            raise RankingError(
-                f"ranking {ranking.ranking_id} of {ranking.annotator!r} replaces "
-                f"{ranking.replaces}, which is {held[0]!r}'s"
-            )
+        if found.verdict == "withdrawn":
+            raise RankingError(f"nothing to undo: {ranking_id} is itself an undo")
+        return found
+    newest = next(
+        (
+            ranking
+            for ranking in reversed(ledger.rankings)
+            if ranking.annotator == annotator
+            and ranking.verdict != "withdrawn"
+            and ledger.replaced_by(ranking.ranking_id) is None
+        ),
+        None,
+    )
+    if newest is None:
+        raise RankingError(f"nothing to undo: {annotator!r} has no ranking that counts")
+    return newest
 
-    def _check_answer(self, rows: sqlite3.Connection, ranking: Ranking) -> None:
-        query = _query(rows, ranking.query_id)
-        if set(query.episode_ids) != set(ranking.episode_ids):
-            raise RankingError(
-                f"ranking {ranking.ranking_id} is about {', '.join(ranking.episode_ids)}, "
-                f"its query {query.query_id} about {', '.join(query.episode_ids)}"
-            )
-        late_s = (time.time_ns() - query.expires_ns) / 1e9
-        if late_s > 0:
-            raise RankingError(f"query {query.query_id} expired {late_s:.0f} s ago")
+
+def _undone_before(ledger: Ledger, withdrawal: Ranking, annotator: str) -> Undone:
+    """The answer to an undo that was sent twice."""
+    target = ledger.ranking(withdrawal.replaces)
+    if withdrawal.verdict != "withdrawn" or withdrawal.annotator != annotator or target is None:
+        raise RankingError(
+            f"ranking {withdrawal.ranking_id} is already stored with another content; "
+            "an undo needs a new withdrawal_id"
+        )
+    known = ledger.knows_query(target.query_id)
+    return Undone(target, ledger.query(target.query_id) if known else None)
 
 
-def _query(rows: sqlite3.Connection, query_id: str) -> Query:
-    row = rows.execute(
-        "SELECT query_id, episode_ids, annotator, strategy, created_ns, expires_ns "
-        "FROM queries WHERE query_id = ?",
-        (query_id,),
-    ).fetchone()
-    if row is None:
-        raise RankingError(f"there is no query {query_id!r}")
-    return Query(row[0], tuple(row[1].split(" ")), *row[2:])
+def _insert_ranking(rows: sqlite3.Connection, ranking: Ranking) -> None:
+    rows.execute(
+        "INSERT INTO rankings (ranking_id, annotator, replaces, content) VALUES (?, ?, ?, ?)",
+        (ranking.ranking_id, ranking.annotator, ranking.replaces, ranking_to_json(ranking)),
+    )
+
+
+def _insert_query(rows: sqlite3.Connection, query: Query) -> None:
+    rows.execute(
+        "INSERT INTO queries (query_id, annotator, strategy, purpose, episode_ids, created_ns) "
+        "VALUES (?, ?, ?, ?, ?, ?)",
+        (
+            query.query_id,
+            query.annotator,
+            query.strategy,
+            query.purpose,
+            " ".join(query.episode_ids),
+            query.created_ns,
+        ),
+    )
+
+
+def _insert_lease(rows: sqlite3.Connection, query: Query) -> None:
+    rows.execute(
+        "INSERT INTO leases (query_id, expires_ns) VALUES (?, ?)",
+        (query.query_id, query.expires_ns),
+    )

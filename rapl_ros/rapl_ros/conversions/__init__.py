@@ -46,6 +46,11 @@ from rapl_ros.conversions.learning import (
     metrics_to_ros,
     policy_to_ros,
 )
+from rapl_ros.conversions.preferences import (
+    annotator_progress_to_ros,
+    fill_progress,
+    query_request_from_ros,
+)
 from rapl_ros.conversions.progress import progress_from_ros, progress_to_ros
 from rapl_ros.conversions.rewards import invalid_reward_to_ros, reward_from_ros, reward_to_ros
 from rapl_ros.conversions.worlds import (
@@ -66,6 +71,7 @@ __all__ = [
     "action_from_ros",
     "action_to_ros",
     "align_feedback_to_ros",
+    "annotator_progress_to_ros",
     "answer",
     "bytes_to_ros",
     "camera_info_to_ros",
@@ -80,6 +86,7 @@ __all__ = [
     "experts_from_ros",
     "experts_to_ros",
     "failed_embedding_to_ros",
+    "fill_progress",
     "floats_to_ros",
     "header_to_ros",
     "image_from_ros",
@@ -91,6 +98,7 @@ __all__ = [
     "policy_to_ros",
     "progress_from_ros",
     "progress_to_ros",
+    "query_request_from_ros",
     "query_to_ros",
     "ranking_from_ros",
     "ranking_to_ros",

@@ -63,6 +63,8 @@ def query_to_ros(query: Query) -> wire_msg.Query:
         episode_ids=list(query.episode_ids),
         strategy=query.strategy,
         expires=time_to_ros(query.expires_ns),
+        annotator=query.annotator,
+        purpose=query.purpose,
     )
 
 
@@ -70,6 +72,7 @@ VERDICTS: dict[int, Verdict] = {
     wire_msg.Ranking.RANKED: "ranked",
     wire_msg.Ranking.UNDECIDED: "undecided",
     wire_msg.Ranking.SKIPPED: "skipped",
+    wire_msg.Ranking.WITHDRAWN: "withdrawn",
 }
 
 
@@ -85,6 +88,8 @@ def ranking_to_ros(ranking: Ranking) -> wire_msg.Ranking:
         response_s=float(ranking.response_s),
         created=time_to_ros(ranking.created_ns),
         replaces=ranking.replaces,
+        shown=time_to_ros(ranking.shown_ns),
+        source=ranking.source,
     )
 
 
@@ -106,4 +111,6 @@ def ranking_from_ros(msg: wire_msg.Ranking) -> Ranking:
         response_s=msg.response_s,
         created_ns=time_from_ros(msg.created),
         replaces=msg.replaces,
+        shown_ns=time_from_ros(msg.shown),
+        source=msg.source,
     )

@@ -1,0 +1,83 @@
+"""Which rankings a store takes: the rules, each refusal with its reason."""
+
+from collections.abc import Callable, Sequence
+
+from rapl_core.errors import RankingError
+from rapl_core.preferences.ledger import Ledger
+from rapl_core.types import Ranking
+
+
+def check_known(
+    episode_ids: Sequence[str], known_episode: Callable[[str], bool] | None, what: str
+) -> None:
+    """
+    :param known_episode: tells whether a video exists; None: all do.
+    :raises RankingError: naming the unknown ones.
+    """
+    if known_episode is None:
+        return
+    unknown = [e for e in episode_ids if not known_episode(e)]
+    if unknown:
+        raise RankingError(f"{what} names unknown episodes: {', '.join(unknown)}")
+
+
+def check_correction(ranking: Ranking, ledger: Ledger) -> None:
+    """Refuse a correction of nothing, of another person's, of other videos or of an old version.
+
+    :raises RankingError: with the reason.
+    """
+    if not ranking.replaces:
+        return
+    what = f"ranking {ranking.ranking_id}"
+    held = ledger.ranking(ranking.replaces)
+    if held is None:
+        raise RankingError(f"{what} replaces {ranking.replaces}, which is not stored")
+    if held.annotator != ranking.annotator:
+        raise RankingError(
+            f"{what} of {ranking.annotator!r} replaces {ranking.replaces}, "
+            f"which is {held.annotator!r}'s"
+        )
+    if set(held.episode_ids) != set(ranking.episode_ids):
+        raise RankingError(
+            f"{what} is about {', '.join(ranking.episode_ids)}, the one that it replaces about "
+            f"{', '.join(held.episode_ids)}"
+        )
+    later = ledger.replaced_by(ranking.replaces)
+    if later is not None:
+        raise RankingError(
+            f"{what} replaces {ranking.replaces}, which {later} has replaced already"
+        )
+
+
+def check_answer(ranking: Ranking, ledger: Ledger, now_ns: int) -> None:
+    """Refuse an answer to a query that is unknown, another's, answered, expired or of other videos.
+
+    A correction of one's own answer may come after the lease.
+
+    :raises RankingError: with the reason.
+    """
+    if not ranking.query_id:
+        return
+    query = ledger.query(ranking.query_id)
+    what = f"ranking {ranking.ranking_id}"
+    if set(query.episode_ids) != set(ranking.episode_ids):
+        raise RankingError(
+            f"{what} is about {', '.join(ranking.episode_ids)}, "
+            f"its query {query.query_id} about {', '.join(query.episode_ids)}"
+        )
+    if query.annotator != ranking.annotator:
+        raise RankingError(
+            f"{what} is {ranking.annotator!r}'s, its query {query.query_id} was leased to "
+            f"{query.annotator!r}"
+        )
+    answer = ledger.answer_to(query.query_id)
+    if answer is not None and answer.ranking_id == ranking.replaces:
+        return
+    if answer is not None:
+        raise RankingError(
+            f"query {query.query_id} is answered already, by ranking {answer.ranking_id}; a "
+            "correction names it in 'replaces'"
+        )
+    late_s = (now_ns - query.expires_ns) / 1e9
+    if late_s > 0:
+        raise RankingError(f"query {query.query_id} expired {late_s:.0f} s ago")
