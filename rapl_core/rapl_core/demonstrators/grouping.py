@@ -9,6 +9,9 @@ from rapl_core.demonstrators.phases import Phase, PhaseFollower, State
 from rapl_core.demonstrators.pushing import CUBES, GRIPPER, Pusher
 from rapl_core.tasks.tabletop import TabletopConfig, TabletopGroup
 
+BEYOND = 0.05
+"""m before the goal's far edge that the gripper must reach to push both cubes out of the goal."""
+
 Plan = Callable[[Pusher, State], list[Phase]]
 
 
@@ -131,7 +134,7 @@ def grouping_behaviours(task: TabletopGroup) -> tuple[Behaviour, ...]:
         begin = _starter(plan, task.config)
         return Behaviour(name or plan.__name__, begin, share, preferred, wander, telling)
 
-    return (
+    behaviours = (
         scripted(together_from_behind, 0.10, preferred=True),
         scripted(together_from_ahead, 0.10, preferred=True),
         scripted(together_side_by_side, 0.10, preferred=True, telling=True),
@@ -145,6 +148,8 @@ def grouping_behaviours(task: TabletopGroup) -> tuple[Behaviour, ...]:
         scripted(stall, 0.02),
         scripted(nothing, 0.05, wander=1.0, name="random"),
     )
+    reaches_beyond = task.config.gripper_area[1] >= task.config.goal_far - BEYOND
+    return tuple(b for b in behaviours if reaches_beyond or b.name != too_far.__name__)
 
 
 def _starter(

@@ -12,6 +12,9 @@ TOUCH = 0.012
 """m between fork and cube's side when the gripper is said to be behind it."""
 CLEARANCE = 0.095
 """m between gripper and cube centres, sideways, at which the fork passes a cube."""
+FORK_REACH = {"panda": 0.05, "iiwa": 0.045}
+"""m from the gripper's middle to the outer side of its fork in a sideways push, by robot:
+0.059 and 0.049, less what a cube goes on further."""
 FINGER = 0.02
 """m from the gripper's centre to the front of its fingers, about."""
 
@@ -27,6 +30,7 @@ class Pusher:
         self.config = config
         self.rng = rng
         self.behind = config.cube_half + FINGER + TOUCH
+        self.fork_reach = FORK_REACH[config.robot]
         self.pace = float(rng.uniform(0.7, 1.0))
         self.depth = float(rng.uniform(0.03, 0.07))
         """m behind the goal's near edge at which pushing stops."""
@@ -101,7 +105,7 @@ class Pusher:
             return float(np.sign(state[own][1] - state[line][1]) or 1.0)
 
         outer = CLEARANCE + 0.005
-        lateral = self.config.cube_half + 0.05  # centre of the fork, whose half width is about 5 cm
+        lateral = self.config.cube_half + self.fork_reach
 
         def out(state: State) -> Point:
             back = min(state[GRIPPER][0], state[own][0] - self.behind - 0.02)

@@ -4,13 +4,19 @@ from functools import cache
 
 from rapl_core.errors import UnknownNameError
 from rapl_core.tasks.base import Task
-from rapl_core.tasks.tabletop import TabletopGroup
+from rapl_core.tasks.tabletop import KUKA_GROUP, TabletopGroup
 
 
 @cache
 def _tasks() -> dict[str, Task]:
     tasks: list[Task] = [
         TabletopGroup("franka_group", "Franka Panda pushes two cubes to the goal, together"),
+        TabletopGroup(
+            "kuka_group",
+            "Kuka iiwa pushes two cubes to the goal, together",
+            config=KUKA_GROUP,
+            human_reward_scale=4.57,
+        ),
     ]
     return {task.name: task for task in tasks}
 

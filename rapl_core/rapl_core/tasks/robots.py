@@ -6,10 +6,33 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from rapl_core.errors import CorruptFileError, UnknownNameError
 
 COLLISION_GROUP, VISUAL_GROUP = 0, 1
+
+
+@dataclass(frozen=True)
+class GripperConfig:
+    """A gripper with two fingers that slide apart."""
+
+    file: str
+    joints: tuple[str, ...]
+    directions: tuple[float, ...]
+    """Change of each of ``joints`` a m of opening."""
+    stiffness: float
+    """N/m of the servos."""
+    damping: float
+    """N s/m."""
+
+    def positions(self, opening: float) -> NDArray[np.float64]:
+        """Return the joints' positions (J,) in m with each finger ``opening`` m from the middle."""
+        return opening * np.array(self.directions)
+
+    def opening(self, positions: NDArray[np.float64]) -> float:
+        """Return the mean distance in m of the fingers from the middle."""
+        return float(np.mean(positions / np.array(self.directions)))
 
 
 @dataclass(frozen=True)
@@ -18,7 +41,6 @@ class RobotConfig:
 
     name: str
     arm_file: str
-    gripper_file: str
     flange: str
     """Body of the arm that carries the gripper."""
     arm_joints: tuple[str, ...]
@@ -28,18 +50,40 @@ class RobotConfig:
     """N m/rad of the position actuators, from the trial's gains that track without ringing."""
     damping: tuple[float, ...]
     """N m s/rad."""
+    gripper: GripperConfig
 
+
+PANDA_GRIPPER = GripperConfig(
+    file="grippers/panda_gripper.xml",
+    joints=("finger_joint1", "finger_joint2"),
+    directions=(1.0, -1.0),
+    stiffness=1000.0,
+    damping=50.0,
+)
 
 ROBOTS = {
     "panda": RobotConfig(
         name="panda",
         arm_file="robots/panda/robot.xml",
-        gripper_file="grippers/panda_gripper.xml",
         flange="right_hand",
         arm_joints=tuple(f"joint{i}" for i in range(1, 8)),
         home=(0.0, np.pi / 16, 0.0, -np.pi / 2 - np.pi / 3, 0.0, np.pi - 0.2, -np.pi / 4),
         stiffness=(600, 600, 600, 600, 250, 150, 50),
         damping=(50, 50, 50, 50, 30, 25, 15),
+        gripper=PANDA_GRIPPER,
+    ),
+    # robosuite's model: link lengths of the iiwa 7 R800. The gripper is the Panda's, so that the
+    # two robots differ in the arm alone.
+    "iiwa": RobotConfig(
+        name="iiwa",
+        arm_file="robots/iiwa/robot.xml",
+        flange="right_hand",
+        arm_joints=tuple(f"joint_{i}" for i in range(1, 8)),
+        home=(0.0, 0.65, 0.0, -1.89, 0.0, 0.6, 0.0),
+        # its links are heavier than the Panda's: softer servos overshoot by centimetres
+        stiffness=(6000,) * 7,
+        damping=(300,) * 7,
+        gripper=PANDA_GRIPPER,
     ),
 }
 
@@ -77,7 +121,7 @@ def robot_spec(robot: RobotConfig) -> mujoco.MjSpec:
     """
     assets = asset_folder()
     arm = mujoco.MjSpec.from_file(str(assets / robot.arm_file))
-    gripper = mujoco.MjSpec.from_file(str(assets / robot.gripper_file))
+    gripper = mujoco.MjSpec.from_file(str(assets / robot.gripper.file))
     for spec in (arm, gripper):
         for actuator in list(spec.actuators):
             spec.delete(actuator)
@@ -98,8 +142,10 @@ def robot_spec(robot: RobotConfig) -> mujoco.MjSpec:
         robot.arm_joints, robot.stiffness, robot.damping, strict=True
     ):
         add_position_actuator(arm, name, stiffness, damping)
-    for side in (1, 2):
-        add_position_actuator(arm, f"gripper_finger_joint{side}", 1000.0, 50.0)
+    for joint in robot.gripper.joints:
+        add_position_actuator(
+            arm, f"gripper_{joint}", robot.gripper.stiffness, robot.gripper.damping
+        )
     return arm
 
 

@@ -14,9 +14,9 @@ from rapl_core.simulation.simulation import Simulation, episode_rng
 from rapl_core.tasks import get_task
 
 
-@pytest.fixture(scope="module")
-def simulation():
-    simulation = Simulation(get_task("franka_group"), render=False)
+@pytest.fixture(scope="module", params=["franka_group", "kuka_group"])
+def simulation(request):
+    simulation = Simulation(get_task(request.param), render=False)
     yield simulation
     simulation.close()
 

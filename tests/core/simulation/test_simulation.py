@@ -8,9 +8,9 @@ from rapl_core.simulation.simulation import STREAMS, Simulation, episode_rng
 from rapl_core.tasks import get_task
 
 
-@pytest.fixture(scope="module")
-def simulation():
-    simulation = Simulation(get_task("franka_group"), worlds=2, render=False)
+@pytest.fixture(scope="module", params=["franka_group", "kuka_group"])
+def simulation(request):
+    simulation = Simulation(get_task(request.param), worlds=2, render=False)
     yield simulation
     simulation.close()
 
@@ -56,7 +56,8 @@ def test_a_bad_action_is_refused(simulation, action):
         simulation.step(0, action)
 
 
-def test_no_start_is_shared_between_seed_streams(simulation):
+def test_no_start_is_shared_between_seed_streams():
+    simulation = Simulation(get_task("franka_group"), worlds=2, render=False)
     starts = {}
     for stream in STREAMS:
         for world in range(2):
@@ -78,8 +79,9 @@ def test_rendering_without_a_renderer_says_so(simulation):
         simulation.render(0)
 
 
-def test_each_cube_is_12_pixels_wide_and_the_goal_is_seen_over_most_of_the_table():
-    simulation = Simulation(get_task("franka_group"))
+@pytest.mark.parametrize("name", ["franka_group", "kuka_group"])
+def test_each_cube_is_12_pixels_wide_over_most_of_the_table(name):
+    simulation = Simulation(get_task(name))
     wide = []
     for x in np.linspace(-0.1, 0.33, 8):
         for y in (-0.15, 0.0, 0.15):
