@@ -12,6 +12,8 @@ from rapl_core.errors import RankingError, ShapeError, UnknownNameError
 EPISODE_ID = re.compile(r"[a-z0-9_-]{1,64}")
 
 Purpose = Literal["train", "evaluate", "demonstrate"]
+Noise = Literal["plain", "smoothing", "estimated"]
+"""What is made of the probability that an answer is wrong."""
 Verdict = Literal["ranked", "undecided", "skipped", "withdrawn"]
 
 
@@ -140,6 +142,18 @@ class Triplet:
     best: str
     middle: str
     worst: str
+
+
+@dataclass(frozen=True)
+class DoubtedTriplet(Triplet):
+    """A triplet and how far its annotator is to be trusted."""
+
+    mistakes: float = 0.0
+    """Probability that one comparison of it was answered wrong, in [0, 0.5]."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.mistakes <= 0.5:
+            raise RankingError(f"mistakes is {self.mistakes}, expected 0 to 0.5")
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,24 @@
 """From the rankings of a run to an encoder on disk; the long work behind ``preference/align``."""
 
+import json
 import math
+import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RankingError, UnknownNameError
-from rapl_core.preferences import RankingStore, expert_set, triplets_from
+from rapl_core.preferences import RankingStore, triplets_from
+from rapl_core.preferences.people import (
+    GroupLesson,
+    PeopleConfig,
+    PeopleFindings,
+    study_people,
+)
+from rapl_core.preferences.video_features import summarise
 from rapl_core.representations import (
     AlignmentReport,
     Encoder,
@@ -25,10 +34,13 @@ from rapl_core.representations import (
     save_encoder,
 )
 from rapl_core.representations.extractor import FeatureRecipe, Precision
+from rapl_core.representations.presets import Preset
 from rapl_core.representations.pretrained import RAW_RECIPE
 from rapl_core.representations.registry import DEFAULT_BACKBONE
 from rapl_core.types import Ranking
 
+PEOPLE_FILE = "people.json"
+"""In the run folder: what the last alignment found about the annotators."""
 METHODS = ("rapl", "rlhf", "imagenet")
 
 
@@ -46,18 +58,36 @@ class AlignmentOrder:
     precision: Precision
     purposes: tuple[str, ...]
     """Purposes of the episodes that are the pool of videos."""
+    people: PeopleConfig = PeopleConfig()
+    """What to make of wrong answers and of people who disagree."""
+
+
+@dataclass(frozen=True)
+class GroupOutcome:
+    """The encoder of one group of annotators."""
+
+    lesson: GroupLesson
+    version: str
+    uri: str
+    """Relative to the run folder."""
+    held_out_accuracy: float
+    """NaN where nothing was learnt from triplets."""
+
+    @property
+    def mistakes(self) -> float:
+        """Estimated share of wrong comparisons; NaN: not estimated."""
+        return self.lesson.mistakes.rate if self.lesson.mistakes else math.nan
 
 
 @dataclass(frozen=True)
 class AlignmentOutcome:
     """What was made."""
 
-    version: str
-    uri: str
-    """Relative to the run folder."""
-    held_out_accuracy: float
-    """NaN where nothing was learnt from triplets."""
+    groups: tuple[GroupOutcome, ...]
+    """The one with the most rankings first: that one is put to work."""
     triplets: int
+    findings: str
+    """How far people agree and what was made of it."""
 
 
 def run_alignment(
@@ -79,28 +109,65 @@ def run_alignment(
     triplets = triplets_from(rankings)
     if not triplets:
         raise RankingError(f"no triplet in {len(rankings)} rankings, expected at least one")
-    ranked = {video for ranking in rankings for video in ranking.episode_ids if ranking.ranks}
-    experts = expert_set(rankings, min(order.experts, len(ranked)))
     recipe = RAW_RECIPE if order.method == "imagenet" else preset.recipe
     features = _features(order, recipe, on_video)
     rng = np.random.default_rng(order.seed)
+    several = len({ranking.annotator for ranking in rankings}) > 1
+    looks = several or order.people.noise == "estimated" or order.people.groups != 1
+    summary = summarise(features) if looks else None
+    # A generator of its own: who ranked must not change what one person's rankings lead to.
+    people_rng = np.random.default_rng([order.seed, 301])
+    people = study_people(rankings, summary, order.people, order.experts, people_rng)
+    preset = replace(preset, noise=order.people.noise)
+    # The largest group last: its encoder is the newest, which the method's name stands for.
+    outcomes = [
+        _learn(order, lesson, features, preset, rng, on_epoch)
+        for lesson in reversed(people.lessons)
+    ]
+    _write_findings(order.run_folder, people, outcomes)
+    return AlignmentOutcome(tuple(reversed(outcomes)), len(triplets), people.text)
+
+
+def _learn(
+    order: AlignmentOrder,
+    lesson: GroupLesson,
+    features: FeatureStore,
+    preset: Preset,
+    rng: np.random.Generator,
+    on_epoch: Callable[[EpochProgress], None],
+) -> GroupOutcome:
     encoder: Encoder
     report: AlignmentReport | None = None
+    experts = lesson.expert_ids
+    if not lesson.triplets:
+        raise RankingError(
+            f"no triplet in {len(lesson.rankings)} rankings of {', '.join(lesson.annotators)}"
+        )
     if order.method == "imagenet":
         encoder = raw_encoder_from(features, experts, rng)
     elif order.method == "rlhf":
-        encoder, report = learn_reward(features, triplets, experts, preset, rng, on_epoch)
+        encoder, report = learn_reward(features, lesson.triplets, experts, preset, rng, on_epoch)
     else:
-        ties = tied_triplets(rankings)
-        encoder, report = align(features, triplets, experts, preset, rng, on_epoch, ties)
+        ties = tied_triplets(lesson.rankings)
+        encoder, report = align(features, lesson.triplets, experts, preset, rng, on_epoch, ties)
     folder = checkpoint_folder(order.run_folder, encoder)
     save_encoder(encoder, folder, report.to_json() if report else None)
-    return AlignmentOutcome(
+    return GroupOutcome(
+        lesson,
         version=encoder.info.version,
         uri=str(folder.relative_to(order.run_folder)),
         held_out_accuracy=report.held_out_accuracy if report else math.nan,
-        triplets=len(triplets),
     )
+
+
+def _write_findings(folder: Path, people: PeopleFindings, outcomes: Sequence[GroupOutcome]) -> None:
+    """Write what the report says of the people; atomic."""
+    found = people.to_json()
+    for group, outcome in zip(found["groups"], reversed(outcomes), strict=True):
+        group["encoder"] = outcome.uri
+    beside = folder / f".{PEOPLE_FILE}.{os.getpid()}"
+    beside.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    beside.replace(folder / PEOPLE_FILE)
 
 
 def tied_triplets(rankings: Sequence[Ranking]) -> list[TiedTriplet]:

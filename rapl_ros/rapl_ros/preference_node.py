@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from rapl_msgs.action import Align
 from rapl_msgs.msg import EpisodeInfo
@@ -14,14 +14,21 @@ from rclpy.action.server import ServerGoalHandle
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError, UnknownNameError
 from rapl_core.preferences import DeskConfig, QueryDesk, RankingStore
+from rapl_core.preferences.people import PeopleConfig
 from rapl_core.preferences.progress import RankingProgress, measure_progress, needed
+from rapl_core.preferences.strategies import STRATEGIES
+from rapl_core.types import Noise
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import Worker
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters
+from rapl_ros.strategist import Strategist
 
 LIST_LIMIT = 100
-STRATEGIES = ("uniform",)
+WRITABLE = (
+    "rankings_wanted", "strategy", "repeat_share", "shared_share",
+    "noise", "smoothing_rate", "groups",
+)  # fmt: skip
 
 
 class AlignmentCancelledError(RaplError):
@@ -29,15 +36,17 @@ class AlignmentCancelledError(RaplError):
 
 
 @dataclass(frozen=True)
-class PreferenceConfig(DeskConfig):
+class PreferenceConfig(DeskConfig, PeopleConfig):
     """Parameters of the preference node."""
 
     run_folder: Path = Path(".")
     """Run folder: episodes/, rankings.sqlite, encoders/."""
     rankings_wanted: int = field(default=0, metadata={"minimum": 0})
     """Rankings wanted in all, for the figures of progress; 0: no number. May change at run time."""
-    strategy: Literal["uniform"] = "uniform"
-    """Which videos to ask about next."""
+    strategy: Literal["uniform", "uncertainty", "information", "coverage", "transport"] = "uniform"
+    """Which videos to ask about next; uniform: at random, as the paper. May change at run time."""
+    preset: str = "tuned"
+    """Whose features strategies other than uniform look at."""
     purposes: tuple[str, ...] = ("demonstrate",)
     """Purposes of the episodes that are the pool of videos."""
     experts: int = field(default=10, metadata={"minimum": 1, "maximum": 1000})
@@ -47,6 +56,10 @@ class PreferenceConfig(DeskConfig):
     is rewarded with is always embedded in float32."""
     threads: int = field(default=1, metadata={"minimum": 1, "maximum": 64})
     """Threads of torch."""
+
+    def __post_init__(self) -> None:
+        DeskConfig.__post_init__(self)
+        PeopleConfig.__post_init__(self)
 
 
 class PreferenceNode(RaplNode):
@@ -63,7 +76,7 @@ class PreferenceNode(RaplNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.PREFERENCE, **options)
-        self._parameters = ConfigParameters(self, PreferenceConfig(), writable=("rankings_wanted",))
+        self._parameters = ConfigParameters(self, PreferenceConfig(), writable=WRITABLE)
         folder = self.config.run_folder
         self._episodes = EpisodeStore(folder / "episodes")
         self._store = RankingStore(folder / "rankings.sqlite", self._episodes.__contains__)
@@ -72,7 +85,14 @@ class PreferenceNode(RaplNode):
             for summary in self._episodes.summaries()
             if summary.purpose in self.config.purposes
         }
-        self._desk = QueryDesk(self._store, self.config)
+        self._strategist = Strategist(
+            self._store,
+            folder,
+            lambda: self._pool.copy(),
+            self.config.preset,
+            self.config.precision,
+            self.config.seed,
+        )
         self._measured: tuple[int, RankingProgress] | None = None
         self._worker: Worker | None = None
         self._aligning = False
@@ -101,6 +121,7 @@ class PreferenceNode(RaplNode):
         """Close the store; an alignment under way leaves nothing behind."""
         if self._worker is not None:
             self._worker.close(0.5)
+        self._strategist.close(0.5)
         self._store.close()
 
     # Queries and rankings
@@ -117,7 +138,9 @@ class PreferenceNode(RaplNode):
             strategy = request.strategy or self.config.strategy
             if strategy not in STRATEGIES:
                 raise UnknownNameError("query strategy", strategy, STRATEGIES)
-            query = self._desk.next(conversions.query_request_from_ros(request), self._pool)
+            wish = conversions.query_request_from_ros(request)
+            selector = self._strategist.selector(strategy, wish.size or self.config.query_size)
+            query = QueryDesk(self._store, self.config).next(wish, self._pool, selector)
         except RaplError as error:
             response.message = str(error)
             return response
@@ -186,6 +209,8 @@ class PreferenceNode(RaplNode):
             return response
         response.videos = len(self._pool)
         response.strategy = self.config.strategy
+        self._strategist.selector(self.config.strategy, self.config.query_size)  # begins to learn
+        response.strategy_detail = self._strategist.detail(self.config.strategy)
         conversions.fill_progress(response, progress, request.annotator)
         response.success = True
         return response
@@ -208,6 +233,7 @@ class PreferenceNode(RaplNode):
         return given, needed(self.config.rankings_wanted, given)
 
     def _tell(self) -> None:
+        self._strategist.notice()
         if not self._aligning:
             given, missing = self._given_and_needed()
             what = f"{len(self._pool)} videos, {given} rankings"
@@ -222,14 +248,13 @@ class PreferenceNode(RaplNode):
         self._aligning = True
         if self._worker is None:
             self._worker = Worker(self, "alignment", capacity=1)
-        result = Align.Result(held_out_accuracy=float("nan"))
+        result = Align.Result(held_out_accuracy=float("nan"), mistakes=float("nan"))
         began_s = time.monotonic()
         try:
             outcome = await self._worker.submit(lambda: self._work(goal))
-            result.version, result.uri = outcome.version, outcome.uri
-            result.held_out_accuracy = float(outcome.held_out_accuracy)
-            result.triplets = int(outcome.triplets)
-            result.message = f"{outcome.uri} in {time.monotonic() - began_s:.1f} s"
+            conversions.fill_align_result(result, outcome)
+            result.message = f"{result.uri} in {time.monotonic() - began_s:.1f} s"
+            self.get_logger().info(outcome.findings)
             result.success = True
             goal.succeed()
         except AlignmentCancelledError as error:
@@ -252,6 +277,13 @@ class PreferenceNode(RaplNode):
 
         torch.set_num_threads(self.config.threads)
         config, request = self.config, goal.request
+        if request.noise and request.noise not in get_args(Noise):
+            raise UnknownNameError("treatment of noise", request.noise, get_args(Noise))
+        people = PeopleConfig(
+            noise=request.noise or config.noise,
+            smoothing_rate=config.smoothing_rate,
+            groups=int(request.groups) or config.groups,
+        )
         order = AlignmentOrder(
             run_folder=config.run_folder,
             method=request.encoder,
@@ -261,6 +293,7 @@ class PreferenceNode(RaplNode):
             experts=config.experts,
             precision=config.precision,
             purposes=config.purposes,
+            people=people,
         )
 
         def on_video(done: int, total: int) -> None:

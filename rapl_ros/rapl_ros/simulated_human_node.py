@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 from rapl_msgs.msg import EpisodeInfo, Query
-from rapl_msgs.srv import GetQuery, ListRankings, SubmitRanking
+from rapl_msgs.srv import GetProgress, GetQuery, ListRankings, SubmitRanking
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError
-from rapl_core.preferences import SimulatedHuman
+from rapl_core.preferences import Answer, HumanKnobs, SimulatedHuman
+from rapl_core.preferences.wishes import Person, wish_rewards
+from rapl_core.tasks import get_task
 from rapl_core.types import Ranking
 from rapl_ros import conversions, qos, topics
 from rapl_ros.calls import call, pause
@@ -25,47 +27,57 @@ RETRY_S = 1.0
 
 
 @dataclass(frozen=True)
-class SimulatedHumanConfig:
+class SimulatedHumanConfig(HumanKnobs):
     """Parameters of the simulated human."""
 
     rankings: int = field(default=0, metadata={"minimum": 0})
     """Rankings to give in all, those of earlier starts included. May change at run time."""
     annotator: str = "simulated"
     """Name under which the rankings are stored."""
+    people: tuple[str, ...] = ()
+    """Several people instead of one, who take turns: name:wish, e.g. ann:task. Wishes: task,
+    opposite, progress, apart."""
     run_folder: Path = Path(".")
     """Run folder: returns of episodes that were recorded before this node began to listen."""
     seed: int = field(default=0, metadata={"minimum": 0})
     """Errors follow from it."""
-    beta: float = math.inf
-    """Rationality, in units of 1 / return: the smaller, the more random. inf: never errs."""
-    mistakes: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 1.0})
-    """Share of rankings in which two neighbours are exchanged."""
-    equal_threshold: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 1e9})
-    """Videos whose returns differ by at most this are ranked equal."""
-    skip: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 1.0})
-    """Share of queries that are not answered."""
+    pace_s: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 3600.0})
+    """Wall time between two answers: gives a strategy time to learn from them."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.persons()
+
+    def persons(self) -> tuple[Person, ...]:
+        """Who ranks.
+
+        :raises RaplError: if an entry of `people` is not name:wish or its wish is unknown.
+        """
+        return tuple(Person.parse(text) for text in self.people) or (Person(self.annotator),)
 
 
 class SimulatedHumanNode(RaplNode):
     """A client of the same services as a person.
 
     Subscribes ``episode`` (rapl_msgs/EpisodeInfo) for the true returns. Calls
-    ``preference/get_query``, ``preference/submit_ranking`` and ``preference/list_rankings``.
+    ``preference/get_query``, ``preference/submit_ranking``, ``preference/list_rankings`` and
+    ``preference/get_progress``.
     Reports on its heartbeat how many rankings it has given; does nothing until ``rankings`` is set.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.SIMULATED_HUMAN, peers=(topics.PREFERENCE,), **options)
         self._wishes = ConfigParameters(self, SimulatedHumanConfig(), writable=("rankings",))
-        self._returns: dict[str, float] = {}
+        self._returns: dict[tuple[str, str], float] = {}
         self._episodes = EpisodeStore(self._wishes.value.run_folder / "episodes")
         self.subscribe_to(EpisodeInfo, topics.EPISODE, self._on_episode, qos.event())
-        self._get_query, self._submit, self._list = (
+        self._get_query, self._submit, self._list, self._progress = (
             self.create_client(kind, topics.of_node(name, topics.PREFERENCE))
             for kind, name in (
                 (GetQuery, topics.GET_QUERY),
                 (SubmitRanking, topics.SUBMIT_RANKING),
                 (ListRankings, topics.LIST_RANKINGS),
+                (GetProgress, topics.GET_PROGRESS),
             )
         )
         self._start = self.steady_timer(0.05, self._begin)
@@ -89,57 +101,81 @@ class SimulatedHumanNode(RaplNode):
         if wanted == 0:
             self.heartbeat.report("waiting", "for the parameter 'rankings'")
             return
-        annotator = self._wishes.value.annotator
-        stored = await call(self, self._list, ListRankings.Request(annotator=annotator, limit=1))
-        for given in range(stored.total, wanted):
-            self.heartbeat.report("active", f"{given} of {wanted} rankings")
-            await self._rank_one(given)
-        if stored.total < wanted:
-            self.get_logger().info(f"gave {wanted - stored.total} rankings")
+        persons = self._wishes.value.persons()
+        given = {person: await self._count(person) for person in persons}
+        before = sum(given.values())
+        for number in range(before, wanted):
+            await self._strategy_is_ready()
+            self.heartbeat.report("active", f"{number} of {wanted} rankings")
+            person = min(persons, key=lambda person: given[person])
+            await self._rank_one(person, number)
+            given[person] += 1
+            if self._wishes.value.pace_s:
+                await pause(self, self._wishes.value.pace_s)
+        if before < wanted:
+            self.get_logger().info(f"gave {wanted - before} rankings")
         self.heartbeat.report("waiting", f"done: {wanted} of {wanted} rankings")
 
-    async def _rank_one(self, number: int) -> None:
-        config = self._wishes.value
-        asked = await call(self, self._get_query, GetQuery.Request(annotator=config.annotator))
+    async def _count(self, person: Person) -> int:
+        request = ListRankings.Request(annotator=person.name, limit=1)
+        return int((await call(self, self._list, request)).total)
+
+    async def _strategy_is_ready(self) -> None:
+        """Wait while the preference node would ask uniformly only because it is not ready."""
+        while True:
+            progress = await call(self, self._progress, GetProgress.Request(annotator="nobody"))
+            if "features are read" not in progress.strategy_detail:
+                return
+            self.heartbeat.report("waiting", f"{progress.strategy}: {progress.strategy_detail}")
+            await pause(self, RETRY_S)
+
+    async def _rank_one(self, person: Person, number: int) -> None:
+        asked = await call(self, self._get_query, GetQuery.Request(annotator=person.name))
         if not asked.success:
             raise RaplError(asked.message)
-        began_s = time.monotonic()
-        answer = self._answer(asked.query, number)
+        began_s, shown_ns = time.monotonic(), time.time_ns()
+        answer = self._answer(asked.query, person, number)
         ranking = Ranking(
             ranking_id=uuid.uuid4().hex,
-            annotator=config.annotator,
+            annotator=person.name,
             episode_ids=tuple(asked.query.episode_ids),
             ranks=answer.ranks,
             verdict=answer.verdict,
             query_id=asked.query.query_id,
             response_s=time.monotonic() - began_s,
             created_ns=time.time_ns(),
+            shown_ns=shown_ns,
+            source=topics.SIMULATED_HUMAN,
         )
         request = SubmitRanking.Request(ranking=conversions.ranking_to_ros(ranking))
         stored = await call(self, self._submit, request)
         if not stored.success:
             raise RaplError(stored.message)
 
-    def _answer(self, query: Query, number: int) -> Any:
-        config = self._wishes.value
+    def _answer(self, query: Query, person: Person, number: int) -> Answer:
         human = SimulatedHuman(
-            np.random.default_rng([config.seed, number]),
-            beta=config.beta,
-            mistakes=config.mistakes,
-            equal_threshold=config.equal_threshold,
-            skip=config.skip,
+            np.random.default_rng([self._wishes.value.seed, number]), self._wishes.value
         )
-        return human.answer([self._return_of(episode_id) for episode_id in query.episode_ids])
+        returns = [self._return_of(episode_id, person, human) for episode_id in query.episode_ids]
+        return human.answer(returns)
 
-    def _return_of(self, episode_id: str) -> float:
-        if episode_id not in self._returns:
-            summary = self._episodes.summary(episode_id)
-            known = summary.human_return
-            self._returns[episode_id] = math.nan if known is None else known
-        return self._returns[episode_id]
+    def _return_of(self, episode_id: str, person: Person, human: SimulatedHuman) -> float:
+        key = episode_id, person.wish
+        if key not in self._returns:
+            if person.wish == "task" and human.knobs.myopia == 1.0:
+                known = self._episodes.summary(episode_id).human_return
+                self._returns[key] = math.nan if known is None else known
+            else:  # the states are needed: some tens of milliseconds, once a video
+                episode = self._episodes.load(episode_id)
+                names = get_task(episode.task).state_names
+                rewards = wish_rewards(person.wish, episode.human_rewards, episode.states, names)
+                self._returns[key] = human.utility(rewards[1:])
+        return self._returns[key]
 
     def _on_episode(self, msg: EpisodeInfo) -> None:
-        self._returns[msg.episode_id] = msg.human_return if msg.has_truth else math.nan
+        if self._wishes.value.myopia == 1.0:
+            returned = msg.human_return if msg.has_truth else math.nan
+            self._returns[msg.episode_id, "task"] = returned
 
 
 if __name__ == "__main__":

@@ -157,7 +157,7 @@ def test_a_bad_ranking_is_refused_with_the_reason_and_not_stored(
 def test_an_unknown_strategy_names_the_known(person: Person) -> None:
     asked = person.ask(strategy="telepathy")
     assert not asked.success
-    assert "unknown query strategy 'telepathy'; known: uniform" in asked.message
+    assert "unknown query strategy 'telepathy'; known: coverage, information" in asked.message
 
 
 def test_the_simulated_human_ranks_by_the_true_return_and_goes_on_after_a_kill(

@@ -5,7 +5,7 @@ from rapl_core.preferences.expert_set import expert_set, strengths
 from rapl_core.preferences.queries import QuerySelector, UniformQueries
 from rapl_core.preferences.query import Query
 from rapl_core.preferences.query_desk import DeskConfig, QueryDesk, QueryRequest
-from rapl_core.preferences.simulated_human import Answer, SimulatedHuman
+from rapl_core.preferences.simulated_human import Answer, HumanKnobs, SimulatedHuman
 from rapl_core.preferences.store import RankingStore
 from rapl_core.preferences.triplets import (
     Pair,
@@ -18,6 +18,7 @@ from rapl_core.preferences.triplets import (
 __all__ = [
     "Answer",
     "DeskConfig",
+    "HumanKnobs",
     "Pair",
     "Query",
     "QueryDesk",

@@ -1,6 +1,6 @@
 """The expert set D+: the most preferred videos, by the rankings alone."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,11 @@ _TOLERANCE = 1e-10
 _ROUNDING = 1e-13
 
 
-def strengths(rankings: Iterable[Ranking], prior_deviation: float = 1.0) -> dict[str, float]:
+def strengths(
+    rankings: Iterable[Ranking],
+    prior_deviation: float = 1.0,
+    trust: Mapping[str, float] | None = None,
+) -> dict[str, float]:
     r"""Return the Bradley-Terry strength of every ranked video.
 
     Maximises the posterior of the log-strengths s,
@@ -27,35 +31,43 @@ def strengths(rankings: Iterable[Ranking], prior_deviation: float = 1.0) -> dict
     and preferred twice, and the strength of those that it beat counts.
 
     :param prior_deviation: tau; small: shrink videos seen seldom more strongly.
+    :param trust: how much an answer of each annotator counts; None: all count 1.
     :return: log-strength by episode id, of mean zero.
     :raises RankingError: if tau is not positive.
     :raises ConvergenceError: if Newton's method fails (it does not on finite input).
     """
     if not prior_deviation > 0:
         raise RankingError(f"the prior's deviation is {prior_deviation}, expected more than 0")
-    pairs = pairs_from(rankings)
-    videos = sorted({video for pair in pairs for video in (pair.better, pair.worse)})
+    pairs = [
+        (pair, 1.0 if trust is None else trust[ranking.annotator])
+        for ranking in rankings
+        for pair in pairs_from([ranking])
+    ]
+    videos = sorted({video for pair, _ in pairs for video in (pair.better, pair.worse)})
     if not videos:
         return {}
     number = {video: i for i, video in enumerate(videos)}
     wins = np.zeros((len(videos), len(videos)))  # (n, n) wins[i, j]: how often i beat j
-    for pair in pairs:
+    for pair, counts in pairs:
         better, worse = number[pair.better], number[pair.worse]
-        wins[better, worse] += 0.5 if pair.tie else 1.0
-        wins[worse, better] += 0.5 if pair.tie else 0.0
+        wins[better, worse] += counts * (0.5 if pair.tie else 1.0)
+        wins[worse, better] += counts * (0.5 if pair.tie else 0.0)
     return dict(zip(videos, _maximise(wins, 1 / prior_deviation**2).tolist(), strict=True))
 
 
-def expert_set(rankings: Iterable[Ranking], size: int = 10) -> list[str]:
+def expert_set(
+    rankings: Iterable[Ranking], size: int = 10, trust: Mapping[str, float] | None = None
+) -> list[str]:
     """Return the ``size`` most preferred videos, the best first.
 
     Uses the rankings alone, never a return. Equal strengths go to the video seen more often,
     then by name, so that the choice is the same everywhere.
 
+    :param trust: how much an answer of each annotator counts; None: all count 1.
     :raises RankingError: if fewer videos were ranked.
     """
     rankings = list(rankings)
-    strength = strengths(rankings)
+    strength = strengths(rankings, trust=trust)
     if size < 1 or len(strength) < size:
         raise RankingError(
             f"an expert set of {size} videos cannot be chosen from {len(strength)} ranked ones"

@@ -1,12 +1,21 @@
-"""A human whose preferences are known: ranks videos by the human's true returns."""
+"""A human whose preferences are known: ranks videos by the human's true returns.
 
+The ways to err are those of B-Pref (Lee et al. 2021): rationality beta, myopia, mistakes, skipping
+and equality, carried over from two videos to rankings.
+"""
+
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rapl_core.errors import RankingError
 from rapl_core.types import Verdict
+
+MistakeKind = Literal["neighbours", "any"]
 
 
 class Answer(NamedTuple):
@@ -17,38 +26,57 @@ class Answer(NamedTuple):
     """1 = best, equal numbers tie; empty unless ranked."""
 
 
+@dataclass(frozen=True)
+class HumanKnobs:
+    """How a simulated human errs; without them it never does, like the paper's."""
+
+    beta: float = math.inf
+    """Rationality, in units of 1 / return: the smaller, the more random. inf: never errs."""
+    myopia: float = field(default=1.0, metadata={"minimum": 0.0, "maximum": 1.0})
+    """Weight of a step relative to the next one, B-Pref's gamma: below 1 the end of a video counts
+    more than its start. 1: all steps count the same."""
+    mistakes: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 1.0})
+    """Share of rankings that are wrong."""
+    mistake_kind: MistakeKind = "neighbours"
+    """neighbours: two neighbours are exchanged. any: another order at random."""
+    equal_threshold: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 1e9})
+    """Videos whose returns differ by at most this are ranked equal."""
+    skip: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 1.0})
+    """Share of queries that are not answered."""
+    skip_below: float = -math.inf
+    """A query in which no video's return reaches this is not answered: nothing to like."""
+
+    def __post_init__(self) -> None:
+        for name in ("mistakes", "skip", "myopia"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise RankingError(f"{name} is {value}, expected a number in [0, 1]")
+        if not self.beta > 0:
+            raise RankingError(f"beta is {self.beta}, expected more than 0")
+        if not self.equal_threshold >= 0:
+            raise RankingError(f"equal_threshold is {self.equal_threshold}, expected 0 or more")
+
+
 class SimulatedHuman:
-    """Ranks by the sum of r*; without the options never errs, like the paper's.
+    """Ranks by the sum of r*.
 
     :param rng: the errors follow from it.
-    :param beta: rationality: the order is drawn from Plackett-Luce with utility beta * return;
-        infinite: always the true order. In units of 1 / return.
-    :param mistakes: probability that a ranking has two neighbours exchanged.
-    :param equal_threshold: a video whose return is at most this far below the best of a group
-        of equals ties with that group.
-    :param skip: probability that no answer is given.
+    :param knobs: how it errs, as a whole or by their names (``beta=2.0``).
     """
 
     def __init__(
-        self,
-        rng: np.random.Generator,
-        beta: float = float("inf"),
-        mistakes: float = 0.0,
-        equal_threshold: float = 0.0,
-        skip: float = 0.0,
+        self, rng: np.random.Generator, knobs: HumanKnobs | None = None, **by_name: float
     ) -> None:
-        for name, value in (("mistakes", mistakes), ("skip", skip)):
-            if not 0 <= value <= 1:
-                raise RankingError(f"{name} is {value}, expected a probability in [0, 1]")
-        if not beta > 0:
-            raise RankingError(f"beta is {beta}, expected more than 0")
-        if not equal_threshold >= 0:
-            raise RankingError(f"equal_threshold is {equal_threshold}, expected 0 or more")
         self._rng = rng
-        self._beta = beta
-        self._mistakes = mistakes
-        self._equal_threshold = equal_threshold
-        self._skip = skip
+        self.knobs = knobs or HumanKnobs(**by_name)  # type: ignore[arg-type]
+
+    def utility(self, rewards: NDArray[np.float64]) -> float:
+        """Return of a video as this human feels it: later steps count more where it is myopic.
+
+        :param rewards: (T,) r* of the states arrived in.
+        """
+        ages = np.arange(len(rewards))[::-1]  # steps before the end
+        return float((self.knobs.myopia**ages * rewards).sum())
 
     def rank(self, returns: Sequence[float]) -> tuple[int, ...]:
         """Return the rank of each video, 1 = best, equal numbers tie.
@@ -59,24 +87,37 @@ class SimulatedHuman:
         utilities = np.asarray(returns, dtype=np.float64)  # (n,)
         if not np.all(np.isfinite(utilities)):
             raise RankingError(f"cannot rank by the returns {list(returns)}: the truth is unknown")
-        if np.isfinite(self._beta):
+        if np.isfinite(self.knobs.beta):
             # Sorting utilities plus Gumbel noise draws from Plackett-Luce.
-            utilities = utilities + self._rng.gumbel(size=len(utilities)) / self._beta
+            utilities = utilities + self._rng.gumbel(size=len(utilities)) / self.knobs.beta
         order = np.argsort(-utilities, kind="stable")
         ranks = np.empty(len(utilities), dtype=np.int64)
         leader, place = utilities[order[0]], 1
         for position, video in enumerate(order, start=1):
-            if leader - utilities[video] > self._equal_threshold:
+            if leader - utilities[video] > self.knobs.equal_threshold:
                 leader, place = utilities[video], position
             ranks[video] = place
-        if self._mistakes > 0 and self._rng.random() < self._mistakes:
-            first = int(self._rng.integers(len(order) - 1))
-            a, b = order[first], order[first + 1]
-            ranks[a], ranks[b] = ranks[b], ranks[a]
+        if self.knobs.mistakes > 0 and self._rng.random() < self.knobs.mistakes:
+            ranks = self._mistaken(ranks, order)
         return tuple(int(rank) for rank in ranks)
 
     def answer(self, returns: Sequence[float]) -> Answer:
-        """Return a ranking of the videos; now and then none, if asked to skip."""
-        if self._skip > 0 and self._rng.random() < self._skip:
+        """Return a ranking of the videos; now and then none, if made to skip."""
+        if self.knobs.skip > 0 and self._rng.random() < self.knobs.skip:
+            return Answer("skipped", ())
+        if returns and max(returns) < self.knobs.skip_below:
             return Answer("skipped", ())
         return Answer("ranked", self.rank(returns))
+
+    def _mistaken(self, ranks: NDArray[np.int64], order: NDArray[np.int64]) -> NDArray[np.int64]:
+        wrong = ranks.copy()
+        if self.knobs.mistake_kind == "neighbours":
+            first = int(self._rng.integers(len(order) - 1))
+            a, b = order[first], order[first + 1]
+            wrong[a], wrong[b] = ranks[b], ranks[a]
+            return wrong
+        if len(set(ranks.tolist())) == 1:
+            return wrong  # all equal: there is no other order of these ranks
+        while np.array_equal(wrong, ranks):
+            wrong = ranks[self._rng.permutation(len(ranks))]
+        return wrong

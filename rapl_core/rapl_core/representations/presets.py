@@ -10,6 +10,7 @@ from rapl_core.errors import ShapeError, UnknownNameError
 from rapl_core.representations.extractor import FeatureRecipe
 from rapl_core.representations.pooling import Pooling
 from rapl_core.transport import TransportConfig
+from rapl_core.types import Noise
 
 Likelihood = Literal["log", "linear"]
 Optimiser = Literal["adam", "adamw"]
@@ -36,6 +37,11 @@ class Preset:
     eq. representation_optimization is printed."""
     temperature: float = 1.0
     """Divides all distances in the loss; cosine distances, at most 2, saturate P at 0.88."""
+    noise: Noise = "plain"
+    """What is made of the probability e that a comparison was answered wrong
+    (:class:`rapl_core.types.DoubtedTriplet`). ``plain``: nothing. ``smoothing``: a share e of each
+    label is turned round. ``estimated``: P = (1 - e) sigma + e (1 - sigma), so that an answer far
+    from all others counts no further than e says. See ``answer_noise.py``."""
     tie_weight: float = 0.0
     """Of (1/2 - P)^2 for videos that were ranked equal."""
     expert_weight: float = 0.0
@@ -69,6 +75,7 @@ class Preset:
         for kind, name, known in (
             ("likelihood", self.likelihood, get_args(Likelihood)),
             ("optimiser", self.optimiser, get_args(Optimiser)),
+            ("treatment of noise", self.noise, get_args(Noise)),
         ):
             if name not in known:
                 raise UnknownNameError(kind, name, known)

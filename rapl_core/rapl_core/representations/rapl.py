@@ -17,6 +17,7 @@ from rapl_core.representations.alignment import (
     check_recipe,
     fit_embedder,
 )
+from rapl_core.representations.answer_noise import log_likelihood
 from rapl_core.representations.encoder import Encoder
 from rapl_core.representations.features import FeatureStore
 from rapl_core.representations.presets import Preset
@@ -40,14 +41,16 @@ class RaplObjective:
         z = head(batch.videos)  # (3, B, T, D)
         margin = self._margin(z)  # (B,) log-odds of the order
         if self.preset.likelihood == "log":
-            loss = -logsigmoid(margin).mean()
-        else:
+            loss = -log_likelihood(margin, batch.mistakes, self.preset.noise).mean()
+        else:  # sums of probabilities are bounded as they are
             loss = (1.0 - torch.sigmoid(margin)).mean()
         if self.preset.tie_weight and batch.ties.shape[1]:
             tied = self._margin(head(batch.ties))
             loss = loss + self.preset.tie_weight * (0.5 - torch.sigmoid(tied)).square().mean()
         if self.preset.expert_weight:
-            loss = loss + self.preset.expert_weight * self._expert_loss(z, head(batch.experts))
+            loss = loss + self.preset.expert_weight * self._expert_loss(
+                z, head(batch.experts), batch.mistakes
+            )
         if batch.progress is not None:
             progress = self._progress_loss(head(batch.progress), head(batch.experts))
             loss = loss + self.preset.progress_weight * progress
@@ -62,15 +65,17 @@ class RaplObjective:
         distances = ot_distance(z[:1], z[1:], self.preset.training)  # (2, B)
         return (distances[1] - distances[0]) / self.preset.temperature
 
-    def _expert_loss(self, z: torch.Tensor, experts: torch.Tensor) -> torch.Tensor:
+    def _expert_loss(
+        self, z: torch.Tensor, experts: torch.Tensor, mistakes: torch.Tensor | None
+    ) -> torch.Tensor:
         """Bradley-Terry over all three pairs, by the mean distance to experts (E, T, D).
 
         Departs from the paper: it ties the distance to the reward that will be made of it.
         """
         far = ot_distance(z[:, :, None], experts, self.preset.training).mean(-1)  # (3, B)
         best, middle, worst = far / self.preset.temperature
-        pairs = (middle - best, worst - middle, worst - best)
-        return -torch.stack([logsigmoid(pair) for pair in pairs]).sum(0).mean()
+        pairs = torch.stack([middle - best, worst - middle, worst - best])  # (3, B)
+        return -log_likelihood(pairs, mistakes, self.preset.noise).sum(0).mean()
 
     def _progress_loss(self, frames: torch.Tensor, experts: torch.Tensor) -> torch.Tensor:
         """Bradley-Terry over frames (2, P, D): the later one is nearer to experts (E, T, D).

@@ -2,11 +2,11 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import nn
-from torch.nn.functional import logsigmoid
 
 from rapl_core.representations.alignment import (
     Fit,
@@ -16,20 +16,25 @@ from rapl_core.representations.alignment import (
     check_recipe,
     fit_embedder,
 )
+from rapl_core.representations.answer_noise import log_likelihood
 from rapl_core.representations.encoder import Encoder
 from rapl_core.representations.features import FeatureStore
 from rapl_core.representations.presets import Preset
 from rapl_core.representations.report import AlignmentReport
 from rapl_core.representations.training import Batch, Features
-from rapl_core.types import Triplet
+from rapl_core.types import Noise, Triplet
 
 
+@dataclass(frozen=True)
 class RlhfObjective:
     """Bradley-Terry over all three pairs, by sums of per-frame scalars."""
 
+    noise: Noise = "plain"
+
     def loss(self, head: nn.Module, batch: Batch) -> torch.Tensor:
         """Mean over triplets of the sum over their pairs."""
-        return -torch.stack([logsigmoid(m) for m in self._margins(head, batch)]).sum(0).mean()
+        margins = torch.stack(self._margins(head, batch))  # (3, B)
+        return -log_likelihood(margins, batch.mistakes, self.noise).sum(0).mean()
 
     def correct(self, head: nn.Module, batch: Batch) -> torch.Tensor:
         """(B,) share of the three pairs in the right order."""
@@ -71,7 +76,7 @@ def fit_rlhf(
     on_epoch: OnEpoch | None = None,
 ) -> Fit:
     """RLHF on any per-video features (T, F); see :func:`learn_reward`."""
-    fit = fit_embedder(features, lesson, RlhfObjective(), 1, preset, rng, on_epoch)
+    fit = fit_embedder(features, lesson, RlhfObjective(preset.noise), 1, preset, rng, on_epoch)
     expert_frames = np.concatenate([fit.embed(features[name]) for name in lesson.expert_ids])
     head = fit.embedder.head
     if head is not None:

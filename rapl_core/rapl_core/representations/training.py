@@ -13,7 +13,7 @@ from torch import nn
 
 from rapl_core.errors import ConvergenceError
 from rapl_core.representations.presets import Preset
-from rapl_core.types import Triplet
+from rapl_core.types import DoubtedTriplet, Triplet
 
 PROGRESS_PAIRS = 64
 """Pairs of expert frames a batch."""
@@ -42,6 +42,8 @@ class Batch:
     """(3, B', T, K) best, first and second video of each tied triplet; B' may be 0."""
     progress: torch.Tensor | None = None
     """(2, P, K) an earlier and a later frame of one expert video."""
+    mistakes: torch.Tensor | None = None
+    """(B,) probability that a comparison of each triplet was answered wrong; None: none was."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ class TrainingData:
         self.videos = torch.stack([_resampled(videos[name], length) for name in names])  # (V, T, K)
         self.train = _rows([(t.best, t.middle, t.worst) for t in train], row)  # (M, 3)
         self.held_out = _rows([(t.best, t.middle, t.worst) for t in held_out], row)
+        self.train_mistakes, self.held_out_mistakes = _mistakes(train), _mistakes(held_out)  # (M,)
         self.ties = _rows([(t.best, t.first, t.second) for t in ties], row)
         self.expert_start = min(round(expert_from * length), length - 1)
         self.experts = torch.tensor([row[name] for name in expert_ids])  # (E,)
@@ -186,6 +189,7 @@ def _batches(data: TrainingData, preset: Preset, rng: np.random.Generator) -> li
                     start=int(rng.integers(longest + 1)),
                 ),
                 progress=data.progress(PROGRESS_PAIRS, rng) if preset.progress_weight else None,
+                mistakes=data.train_mistakes[rows],
             )
         )
     return batches
@@ -194,7 +198,9 @@ def _batches(data: TrainingData, preset: Preset, rng: np.random.Generator) -> li
 def _held_out(head: nn.Module, objective: Objective, data: TrainingData) -> tuple[float, float]:
     if not len(data.held_out):
         return math.nan, math.nan
-    batch = data.batch(data.held_out, data.experts, data.ties[:0])
+    batch = replace(
+        data.batch(data.held_out, data.experts, data.ties[:0]), mistakes=data.held_out_mistakes
+    )
     with torch.no_grad():
         loss = float(objective.loss(head, batch))
         return loss, float(objective.correct(head, batch).mean())
@@ -203,6 +209,12 @@ def _held_out(head: nn.Module, objective: Objective, data: TrainingData) -> tupl
 def _rows(names: Sequence[tuple[str, str, str]], row: Mapping[str, int]) -> torch.Tensor:
     rows = [[row[name] for name in triplet] for triplet in names]
     return torch.tensor(rows, dtype=torch.int64).reshape(-1, 3)
+
+
+def _mistakes(triplets: Sequence[Triplet]) -> torch.Tensor:
+    """(M,) those of :class:`DoubtedTriplet`; 0 of the others."""
+    rates = [t.mistakes if isinstance(t, DoubtedTriplet) else 0.0 for t in triplets]
+    return torch.tensor(rates, dtype=torch.float32)
 
 
 def _resampled(video: NDArray[np.float32], length: int) -> torch.Tensor:

@@ -43,6 +43,7 @@ from rapl_ros.conversions.images import (
 )
 from rapl_ros.conversions.learning import (
     align_feedback_to_ros,
+    fill_align_result,
     metrics_to_ros,
     policy_to_ros,
 )
@@ -86,6 +87,7 @@ __all__ = [
     "experts_from_ros",
     "experts_to_ros",
     "failed_embedding_to_ros",
+    "fill_align_result",
     "fill_progress",
     "floats_to_ros",
     "header_to_ros",

@@ -11,6 +11,7 @@ from rapl_ros.wire import LearnerMetrics, PolicyRecord
 
 if TYPE_CHECKING:
     from rapl_core.representations import EpochProgress
+    from rapl_ros.alignment_job import AlignmentOutcome
 
 
 def metrics_to_ros(metrics: LearnerMetrics, stamp_ns: int) -> wire_msg.Metrics:
@@ -51,3 +52,24 @@ def align_feedback_to_ros(progress: "EpochProgress") -> Align.Feedback:
         loss=float(progress.loss),
         held_out_accuracy=float(progress.held_out_accuracy),
     )
+
+
+def fill_align_result(result: Align.Result, outcome: "AlignmentOutcome") -> None:
+    """Put AlignmentOutcome into the result of Align."""
+    first = outcome.groups[0]
+    result.version, result.uri = first.version, first.uri
+    result.held_out_accuracy = float(first.held_out_accuracy)
+    result.mistakes = float(first.mistakes)
+    result.triplets = int(outcome.triplets)
+    result.findings = outcome.findings
+    result.groups = [
+        wire_msg.AnnotatorGroup(
+            annotators=list(group.lesson.annotators),
+            rankings=len(group.lesson.rankings),
+            version=group.version,
+            uri=group.uri,
+            held_out_accuracy=float(group.held_out_accuracy),
+            mistakes=float(group.mistakes),
+        )
+        for group in outcome.groups
+    ]
