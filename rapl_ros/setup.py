@@ -17,6 +17,7 @@ setup(
     python_requires=">=3.11",
     package_dir={"": "."},  # an editable install is then one .pth line, not an import hook
     packages=find_packages(include=["rapl_ros", "rapl_ros.*"]),
+    package_data={"rapl_ros.web": ["static/*", "static/*/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/rapl_ros"]),
         ("share/rapl_ros", ["package.xml"]),

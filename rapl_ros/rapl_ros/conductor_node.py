@@ -44,9 +44,10 @@ class ConductorNode(RaplNode):
     """Runs the stages in order and goes on where an earlier process stopped.
 
     Publishes ``progress`` (rapl_msgs/Progress). Calls ``demonstrator/collect``,
-    ``preference/list_rankings``, ``preference/align``, ``encoder/set_parameters``,
-    ``simulated_human/set_parameters``, ``learner/train`` and ``learner/evaluate``. The process ends
-    with 0 after the last stage, with 1 when a stage fails for good.
+    ``preference/list_rankings``, ``preference/get_progress``, ``preference/align``,
+    ``encoder/set_parameters``, ``simulated_human/set_parameters``, ``learner/train`` and
+    ``learner/evaluate``. The process ends with 0 after the last stage, with 1 when a stage fails
+    for good.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -56,13 +57,13 @@ class ConductorNode(RaplNode):
             topics.OT_REWARD,
             topics.RECORDER,
             topics.PREFERENCE,
-            topics.SIMULATED_HUMAN,
             topics.DEMONSTRATOR,
             topics.LEARNER,
         )
         super().__init__(topics.CONDUCTOR, peers=peers, **options)
         self.folder = declare_config(self, ConductorConfig()).run_folder
         self.run = load_config(self.folder)
+        self.watch(topics.WEB if self.run.asks_people else topics.SIMULATED_HUMAN)
         self._book = StageBook(self.folder)
         self._progress = self.publish_to(Progress, topics.PROGRESS, qos.progress())
         self._published_s = -math.inf

@@ -14,6 +14,7 @@ from rapl_ros.node_table import (
     NODES,
     NodeEntry,
     ParameterValue,
+    entries_of,
     parameters_of,
     resolved_parameters,
     run_parameters,
@@ -49,6 +50,7 @@ SETTINGS = {
     "reward": "where the reward comes from: rapl, ground_truth, imagenet or rlhf",
     "encoder": "encoder that embeds the pictures; empty: the one that the reward implies",
     "preset": "settings of the representation learning: tuned, paper or authors_code",
+    "human": "who ranks: simulated, or people on the page (web)",
     "seed": "of everything random",
     "worlds": "worlds simulated side by side",
     "pool_episodes": "videos to collect and rank",
@@ -62,7 +64,8 @@ SETTINGS = {
 ARGUMENTS: tuple[LaunchArgument, ...] = (
     LaunchArgument("run_folder", "", "folder of the run; empty: runs/TASK/launched here. A folder "
                    "that holds a run is continued, with the settings that it was started with"),
-    LaunchArgument("nodes", "all", "which nodes to start here, separated by commas, or all; known: "
+    LaunchArgument("nodes", "all", "which nodes to start here, separated by commas, or all that "
+                   "the run needs; known: "
                    + ", ".join(entry.name for entry in NODES)),
     LaunchArgument("params_file", "", "YAML file of further parameters, e.g. QoS overrides"),
     LaunchArgument("namespace", "rapl", "namespace of the nodes"),
@@ -77,8 +80,9 @@ def plan(given: Mapping[str, str]) -> list[LaunchedNode]:
     :raises RaplError: if a value is not acceptable or the folder is not writable.
     """
     folder = Path(given["run_folder"] or Path("runs") / given["task"] / "launched")
-    entries = _chosen(given["nodes"])
+    chosen = _chosen(given["nodes"])
     config = _run_config(given, folder)
+    entries = entries_of(config) if chosen is None else chosen
     values = run_parameters(config, folder)
     files = (given["params_file"],) if given["params_file"] else ()
     return [
@@ -99,10 +103,11 @@ def executable_of(entry: NodeEntry) -> str:
     return entry.module.rpartition(".")[2].removesuffix("_node")
 
 
-def _chosen(names: str) -> list[NodeEntry]:
+def _chosen(names: str) -> list[NodeEntry] | None:
+    """The nodes asked for by name; None: all that the run needs."""
     known = {entry.name: entry for entry in NODES}
     if names == "all":
-        return list(NODES)
+        return None
     asked = [name.strip() for name in names.split(",") if name.strip()]
     for name in asked:
         if name not in known:

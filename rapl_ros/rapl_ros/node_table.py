@@ -1,6 +1,6 @@
 """The one table of the nodes: run_all's supervisor and the launch files both read it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,8 @@ class NodeEntry:
     """Takes 300 to 600 MiB rather than 65."""
     ends: bool = False
     """Exits when its work is done."""
+    is_needed: Callable[[RunConfig], bool] = lambda config: True
+    """Whether a run starts it unasked."""
 
 
 NODES: tuple[NodeEntry, ...] = (
@@ -37,8 +39,18 @@ NODES: tuple[NodeEntry, ...] = (
     NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder",), imports_torch=True),
     NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source", "human_reward_scale")),
     NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",)),
-    NodeEntry("preference", "rapl_ros.preference_node", ("run_folder", "seed"), imports_torch=True),
-    NodeEntry("simulated_human", "rapl_ros.simulated_human_node", ("run_folder", "seed")),
+    NodeEntry(
+        "preference",
+        "rapl_ros.preference_node",
+        ("run_folder", "seed", "rankings_wanted", "repeat_share", "shared_share"),
+        imports_torch=True,
+    ),
+    NodeEntry(
+        "simulated_human",
+        "rapl_ros.simulated_human_node",
+        ("run_folder", "seed"),
+        is_needed=lambda config: not config.asks_people,
+    ),
     NodeEntry("demonstrator", "rapl_ros.demonstrator_node"),
     NodeEntry(
         "learner",
@@ -54,19 +66,43 @@ NODES: tuple[NodeEntry, ...] = (
         ),
         imports_torch=True,
     ),
+    NodeEntry(
+        "web",
+        "rapl_ros.web_node",
+        ("run_folder", "host"),
+        is_needed=lambda config: config.asks_people,
+    ),
     NodeEntry("conductor", "rapl_ros.conductor_node", ("run_folder",), ends=True),
 )
 
 
-def run_parameters(config: RunConfig, folder: Path) -> dict[str, ParameterValue]:
-    """Return what a run says to its nodes; each takes what its entry names."""
+def entries_of(config: RunConfig, web: bool = False) -> list[NodeEntry]:
+    """Return the nodes of a run.
+
+    :param web: whether the page is wanted in any case.
+    """
+    return [entry for entry in NODES if entry.is_needed(config) or (web and entry.name == "web")]
+
+
+def run_parameters(
+    config: RunConfig, folder: Path, web_host: str = ""
+) -> dict[str, ParameterValue]:
+    """Return what a run says to its nodes; each takes what its entry names.
+
+    :param web_host: address on which the page listens; empty: this machine's own.
+    """
     return {
         "task": config.task,
         "worlds": config.worlds,
         "seed": config.seed,
         "human_reward_scale": get_task(config.task).human_reward_scale,
         "run_folder": str(folder.resolve()),
+        "host": web_host or "127.0.0.1",
         "clock_file": str((folder / "clock_ns").resolve()),
+        "rankings_wanted": config.triplets,
+        # People tire and differ: now and then the same again, and what another person has ranked.
+        "repeat_share": 0.08 if config.asks_people else 0.0,
+        "shared_share": 0.08 if config.asks_people else 0.0,
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",
         # Longer than ot_reward waits for an encoder that has fallen behind.
         "reward_deadline_s": 60.0,
@@ -84,14 +120,17 @@ def parameters_of(
     return {name: values[name] for name in entry.parameters}
 
 
-def process_specs(config: RunConfig, folder: Path) -> list[ProcessSpec]:
-    """Return the processes of a run."""
-    values = run_parameters(config, folder)
+def process_specs(config: RunConfig, folder: Path, web_host: str = "") -> list[ProcessSpec]:
+    """Return the processes of a run.
+
+    :param web_host: address on which the page listens; empty: no page unless people rank.
+    """
+    values = run_parameters(config, folder, web_host)
     return [
         ProcessSpec(
             entry.name, entry.module, ros_arguments(parameters_of(entry, values)), ends=entry.ends
         )
-        for entry in NODES
+        for entry in entries_of(config, bool(web_host))
     ]
 
 
@@ -106,12 +145,13 @@ def ros_arguments(parameters: Mapping[str, ParameterValue]) -> tuple[str, ...]:
 
 
 def resolved_parameters(
-    config: RunConfig, folder: Path, environment: Mapping[str, str]
+    config: RunConfig, folder: Path, environment: Mapping[str, str], web_host: str = ""
 ) -> dict[str, Any]:
     """Return what config.yaml tells its reader beside the settings of the run."""
-    values = run_parameters(config, folder)
+    values = run_parameters(config, folder, web_host)
+    nodes = entries_of(config, bool(web_host))
     return {
-        "nodes": {entry.name: parameters_of(entry, values) for entry in NODES},
+        "nodes": {entry.name: parameters_of(entry, values) for entry in nodes},
         "environment": dict(environment),
         "versions": provenance.versions(),
         "commit": provenance.commit(),

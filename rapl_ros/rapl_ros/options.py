@@ -15,6 +15,10 @@ REWARDS = {
     "imagenet": "optimal transport in the raw ImageNet features: what rankings are worth",
     "rlhf": "a reward network learnt from the same rankings, without transport",
 }
+HUMANS = {
+    "simulated": "ranks by its own reward r*, at once",
+    "web": "people rank on a page in the browser; the run waits for them",
+}
 PRESETS = {
     "tuned": "our best settings, which depart from the paper where docs/paper_notes.md says so",
     "paper": "the paper's text; what it leaves open is in docs/paper_notes.md",
@@ -30,8 +34,11 @@ class RunRequest:
     folder: Path
     resume: bool
     keep_running: bool
+    web_host: str = ""
+    """Address on which the page listens; empty: there is no page."""
 
 
+WEB_HOST = "127.0.0.1"
 QUICK = {
     "pool_episodes": 60,
     "triplets": 40,
@@ -76,6 +83,18 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--preset", default=None, metavar="NAME", help=f"{' | '.join(PRESETS)} (tuned)"
+    )
+    parser.add_argument(
+        "--human", default=None, metavar="NAME", help=f"who ranks: {' | '.join(HUMANS)} (simulated)"
+    )
+    parser.add_argument(
+        "--web",
+        nargs="?",
+        const=WEB_HOST,
+        default=None,
+        metavar="HOST",
+        help="show the page, on which people watch and rank; HOST other than this machine's own "
+        f"address ({WEB_HOST}) lets others in who have the token that is printed",
     )
     parser.add_argument(
         "--triplets",
@@ -151,6 +170,7 @@ def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> R
     config = replace(config, random_steps=min(config.random_steps, config.steps // 4))
     _check(config.reward, "reward", REWARDS)
     _check(config.preset, "preset", PRESETS)
+    _check(config.human, "human", HUMANS)
     if config.encoder:
         from rapl_core.representations import encoder_names  # imports torch: seconds
 
@@ -158,25 +178,42 @@ def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> R
     folder = arguments.out or _free_folder(runs / config.task / _run_name(config))
     if (folder / CONFIG_FILE).exists():
         raise RaplError(f"{folder} holds a run already; continue it with --resume {folder}")
-    return RunRequest(config, folder, resume=False, keep_running=arguments.keep_running)
+    return RunRequest(
+        config,
+        folder,
+        resume=False,
+        keep_running=arguments.keep_running,
+        web_host=_web_host(arguments, config),
+    )
 
 
 def _resumed(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> RunRequest:
     folder = _folder_to_resume(arguments, tasks, runs)
     config = load_config(folder)
     asked = _given(arguments)
-    longer = {name: asked.pop(name) for name in ("steps", "final_episodes") if name in asked}
+    changed = ("steps", "final_episodes", "human")
+    longer = {name: asked.pop(name) for name in changed if name in asked}
     if arguments.task is not None:
         asked["task"] = arguments.task
     for name, value in asked.items():
         if getattr(config, name) != value:
             raise RaplError(
                 f"{folder} was started with {name} {getattr(config, name)!r}, not {value!r}; "
-                "a resumed run may only change --steps"
+                "a resumed run may only change --steps and --human"
             )
+    config = replace(config, **longer)
+    _check(config.human, "human", HUMANS)
     return RunRequest(
-        replace(config, **longer), folder, resume=True, keep_running=arguments.keep_running
+        config,
+        folder,
+        resume=True,
+        keep_running=arguments.keep_running,
+        web_host=_web_host(arguments, config),
     )
+
+
+def _web_host(arguments: argparse.Namespace, config: RunConfig) -> str:
+    return arguments.web or (WEB_HOST if config.asks_people else "")
 
 
 def _folder_to_resume(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> Path:
@@ -241,6 +278,8 @@ def _whole(least: int, most: int | None = None) -> Callable[[str], int]:
 def _epilog() -> str:
     lines = ["rewards:"]
     lines += [f"  {name:13} {text}" for name, text in REWARDS.items()]
+    lines += ["humans:"]
+    lines += [f"  {name:13} {text}" for name, text in HUMANS.items()]
     lines += ["presets:"]
     lines += [f"  {name:13} {text}" for name, text in PRESETS.items()]
     lines += [

@@ -79,6 +79,14 @@ def diagnostics() -> QoSProfile:
     return stream(depth=10)
 
 
+def preview() -> QoSProfile:
+    """A picture for people to look at: only the newest, from any camera, and never at the cost of
+    whoever waits for all of them."""
+    profile = stream(depth=1)
+    profile.reliability = ReliabilityPolicy.BEST_EFFORT
+    return profile
+
+
 def overrides() -> QoSOverridingOptions:
     """Lets parameters ``qos_overrides.<topic>.subscription.*`` fit a profile to a foreign
     publisher: camera drivers are best effort, and a reliable subscription gets nothing from them.

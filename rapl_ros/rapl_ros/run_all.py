@@ -13,7 +13,7 @@ from rapl_core.errors import RaplError
 from rapl_ros.console import Console
 from rapl_ros.domain import graph_environment
 from rapl_ros.options import RunRequest, build_parser, listing, parse
-from rapl_ros.run_config import check_writable, save_config
+from rapl_ros.run_config import WEB_ADDRESS_FILE, check_writable, save_config
 from rapl_ros.supervisor import Supervisor, describe_exit
 
 POLL_S = 0.1
@@ -69,14 +69,11 @@ def run(request: RunRequest, console: Console) -> int:
     from rapl_ros.summary import summary
     from rapl_ros.supervisor import Supervisor
 
-    save_config(
-        request.config,
-        request.folder,
-        resolved_parameters(request.config, request.folder, environment),
-    )
-    logs = request.folder / "logs"
+    config, folder, host = request.config, request.folder, request.web_host
+    save_config(config, folder, resolved_parameters(config, folder, environment, host))
+    (folder / WEB_ADDRESS_FILE).unlink(missing_ok=True)
     supervisor = Supervisor(
-        process_specs(request.config, request.folder), logs, environment, console.say
+        process_specs(config, folder, host), folder / "logs", environment, console.say
     )
     console.say(_greeting(request, environment))
     code = 1
@@ -109,10 +106,11 @@ def _watch(
     console: Console,
 ) -> int:
     """Supervise until the conductor has ended (and beyond, if asked) or a signal came."""
-    told = False
+    told, page = False, ""
     while not interrupt.number:
         supervisor.poll()
         view.spin(POLL_S)
+        page = _tell_page(request, page, console)
         code = supervisor.exit_code("conductor")
         if code is None or told:
             continue
@@ -124,6 +122,18 @@ def _watch(
         console.say("All stages are done; the graph keeps running until Ctrl-C.")
         told = True
     return 0 if told else INTERRUPTED
+
+
+def _tell_page(request: RunRequest, told: str, console: Console) -> str:
+    """Say where the page is, once it is there; return what was said."""
+    if told or not request.web_host:
+        return told
+    try:
+        address = (request.folder / WEB_ADDRESS_FILE).read_text().strip()
+    except FileNotFoundError:
+        return ""
+    console.say(f"The page is at {address}")
+    return address
 
 
 def _greeting(request: RunRequest, environment: dict[str, str]) -> str:

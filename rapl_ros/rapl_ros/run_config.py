@@ -11,6 +11,8 @@ from rapl_core.errors import CorruptFileError, RaplError
 
 CONFIG_FILE = "config.yaml"
 RESULTS_FILE = "results.json"
+WEB_ADDRESS_FILE = "web_address"
+"""Where the page is while it runs, its token included."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +42,18 @@ class RunConfig:
     final_episodes: int = 50
     """Episodes of the evaluation after learning."""
     quick: bool = False
+    human: str = "simulated"
+    """Who ranks: simulated, or people on the page (web)."""
 
     @property
     def uses_rankings(self) -> bool:
         """True when the reward comes from videos that were ranked."""
         return self.reward != "ground_truth"
+
+    @property
+    def asks_people(self) -> bool:
+        """True when people give the rankings."""
+        return self.human == "web"
 
     @property
     def aligns(self) -> bool:

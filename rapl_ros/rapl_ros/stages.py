@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rapl_msgs.action import Align, Collect, Evaluate, Train
-from rapl_msgs.srv import ListRankings
+from rapl_msgs.srv import GetProgress, ListRankings
 
 from rapl_core.episodes import EpisodeStore
 from rapl_ros import topics
@@ -62,6 +62,9 @@ class StageContext:
         self.rankings = node.create_client(
             ListRankings, topics.of_node(topics.LIST_RANKINGS, topics.PREFERENCE)
         )
+        self.progress = node.create_client(
+            GetProgress, topics.of_node(topics.GET_PROGRESS, topics.PREFERENCE)
+        )
         self.encoder = ParameterPort(node, topics.ENCODER, say)
         self.human = ParameterPort(node, topics.SIMULATED_HUMAN, say)
 
@@ -107,6 +110,8 @@ async def collect(context: StageContext) -> Result:
 async def rank(context: StageContext) -> Result:
     """Wait until the human, simulated or not, has given the rankings wanted."""
     wanted = context.run.triplets
+    if context.run.asks_people:
+        return await _wait_for_people(context, wanted)
     human = context.node.peers[topics.SIMULATED_HUMAN]
     asked = ""
     while True:
@@ -118,6 +123,16 @@ async def rank(context: StageContext) -> Result:
         if response.total >= wanted:
             return {"rankings": int(response.total)}
         await pause(context.node, 0.2)
+
+
+async def _wait_for_people(context: StageContext, wanted: int) -> Result:
+    """People take their time: only what counts is counted, and there is no deadline."""
+    while True:
+        response = await call(context.node, context.progress, GetProgress.Request())
+        context.show(min(response.given, wanted), wanted, "rankings", "people rank on the page")
+        if response.given >= wanted:
+            return {"rankings": int(response.given)}
+        await pause(context.node, 0.5)
 
 
 async def align(context: StageContext) -> Result:

@@ -33,6 +33,7 @@ CONFIGS = {
         ("rapl_core.policies", "SacConfig", "sac."),
         ("rapl_core.policies", "ScheduleConfig", "schedule."),
     ],
+    "web": [("rapl_ros.web_node", "WebConfig", "")],
     "conductor": [("rapl_ros.conductor_node", "ConductorConfig", "")],
 }
 
@@ -137,7 +138,8 @@ def test_the_table_of_nodes_is_that_of_the_code() -> None:
     table = rows(section(INTERFACES.read_text(), "Nodes"))
     assert {cells[0].strip("`") for cells in table} == node_names()
     for cells in table:
-        allowed = wire_names() | (node_names() if cells[0] == "`conductor`" else set())
+        sets_parameters = cells[0] in ("`conductor`", "`web`")
+        allowed = wire_names() | (node_names() if sets_parameters else set())
         assert quoted(" ".join(cells[1:])) <= allowed, f"row of {cells[0]}"
 
 

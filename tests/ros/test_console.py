@@ -92,10 +92,14 @@ def test_a_domain_in_use_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_each_node_gets_its_parameters_in_the_form_that_ros_reads(tmp_path) -> None:
     specs = {spec.name: spec for spec in process_specs(RunConfig("franka_group", seed=3), tmp_path)}
-    assert set(specs) == {entry.name for entry in NODES}
+    assert set(specs) == {entry.name for entry in NODES} - {"web"}
     assert 'task:="franka_group"' in specs["simulator"].arguments
     assert "seed:=3" in specs["learner"].arguments
     assert 'source:="embedding"' in specs["ot_reward"].arguments
     truth = process_specs(RunConfig("franka_group", reward="ground_truth"), tmp_path)
     assert any('source:="human_reward"' in spec.arguments for spec in truth)
+    people = process_specs(RunConfig("franka_group", human="web"), tmp_path)
+    assert {spec.name for spec in people} == {entry.name for entry in NODES} - {"simulated_human"}
+    watched = process_specs(RunConfig("franka_group"), tmp_path, web_host="0.0.0.0")
+    assert 'host:="0.0.0.0"' in next(spec for spec in watched if spec.name == "web").arguments
     assert ros_arguments({"a": True, "b": 0.5}) == ("--ros-args", "-p", "a:=true", "-p", "b:=0.5")

@@ -28,13 +28,19 @@ def given(folder: Path, **changes: str) -> dict[str, str]:
     }
 
 
-def test_every_node_of_the_table_is_launched_with_its_parameters(tmp_path: Path) -> None:
+def test_every_node_that_a_run_needs_is_launched_with_its_parameters(tmp_path: Path) -> None:
     nodes = plan(given(tmp_path, worlds="2", seed="7"))
-    assert [node.name for node in nodes] == [entry.name for entry in NODES]
-    assert [set(node.parameters) for node in nodes] == [set(entry.parameters) for entry in NODES]
+    entries = [entry for entry in NODES if entry.name != "web"]
+    assert [node.name for node in nodes] == [entry.name for entry in entries]
+    assert [set(node.parameters) for node in nodes] == [set(entry.parameters) for entry in entries]
     assert {node.name: node.parameters for node in nodes}["simulator"]["worlds"] == 2
     assert [node.name for node in nodes if node.ends] == ["conductor"]
     assert load_config(tmp_path).seed == 7
+
+
+def test_with_people_there_is_the_page_and_no_simulated_human(tmp_path: Path) -> None:
+    names = {node.name for node in plan(given(tmp_path, human="web"))}
+    assert "web" in names and "simulated_human" not in names
 
 
 def test_a_folder_that_holds_a_run_is_continued_with_its_settings(tmp_path: Path) -> None:

@@ -44,6 +44,7 @@ from rapl_ros.conversions.images import (
 from rapl_ros.conversions.learning import (
     align_feedback_to_ros,
     fill_align_result,
+    metrics_from_ros,
     metrics_to_ros,
     policy_to_ros,
 )
@@ -96,6 +97,7 @@ __all__ = [
     "invalid_reward_to_ros",
     "joint_state_to_ros",
     "key_from_ros",
+    "metrics_from_ros",
     "metrics_to_ros",
     "policy_to_ros",
     "progress_from_ros",

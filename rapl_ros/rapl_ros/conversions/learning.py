@@ -33,6 +33,24 @@ def metrics_to_ros(metrics: LearnerMetrics, stamp_ns: int) -> wire_msg.Metrics:
     )
 
 
+def metrics_from_ros(msg: wire_msg.Metrics) -> LearnerMetrics:
+    """Metrics to LearnerMetrics."""
+    return LearnerMetrics(
+        steps=msg.steps,
+        updates=msg.updates,
+        episodes=msg.episodes,
+        dropped_episodes=msg.dropped_episodes,
+        unrewarded_episodes=msg.unrewarded_episodes,
+        steps_per_s=msg.steps_per_s,
+        reward_mean=msg.reward_mean,
+        human_return_mean=msg.human_return_mean,
+        success_rate=msg.success_rate,
+        actor_loss=msg.actor_loss,
+        critic_loss=msg.critic_loss,
+        entropy_coefficient=msg.entropy_coefficient,
+    )
+
+
 def policy_to_ros(policy: PolicyRecord, stamp_ns: int) -> wire_msg.PolicyInfo:
     """PolicyRecord to PolicyInfo."""
     return wire_msg.PolicyInfo(

@@ -1,0 +1,113 @@
+"""The HTTP server on a thread of its own."""
+
+import errno
+import os
+import secrets
+import socket
+import threading
+from pathlib import Path
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from rapl_core.errors import RaplError
+
+TOKEN_FILE = "web_token"
+PORTS_TRIED = 20
+STOP_S = 2.0
+
+
+class AddressError(RaplError):
+    """The address to listen on cannot be had."""
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on ``host``: on ``port``, or the next free one after it.
+
+    :param port: 0: any.
+    :raises AddressError: if the host is not this machine's or all ports tried are taken.
+    """
+    tried = [0] if port == 0 else range(port, min(port + PORTS_TRIED, 65536))
+    try:
+        family, _, _, _, _ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+    except socket.gaierror as error:
+        raise AddressError(f"cannot listen on {host!r}: {error.strerror}") from error
+    for candidate in tried:
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, candidate))
+            listener.listen(128)
+        except OSError as error:
+            listener.close()
+            if error.errno != errno.EADDRINUSE:
+                raise AddressError(
+                    f"cannot listen on {host} port {candidate}: {error.strerror}"
+                ) from error
+            continue
+        listener.set_inheritable(False)
+        return listener
+    raise AddressError(f"ports {port} to {port + len(tried) - 1} of {host} are all taken")
+
+
+def address_of(listener: socket.socket) -> str:
+    """Return the address at which a browser on this machine finds the server."""
+    host, port = listener.getsockname()[:2]
+    if host in ("0.0.0.0", "::"):
+        host = socket.gethostname()
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+def token_of(run_folder: Path) -> str:
+    """Return the run's token: made once, kept in a file that only its owner can read, so that a
+    restarted server takes the same one."""
+    path = run_folder / TOKEN_FILE
+    try:
+        kept = path.read_text().strip()
+        if len(kept) >= 32:
+            return kept
+    except FileNotFoundError:
+        pass
+    token = secrets.token_urlsafe(32)
+    beside = path.with_name(f".{TOKEN_FILE}.{os.getpid()}")
+    try:
+        run_folder.mkdir(parents=True, exist_ok=True)
+        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(token + "\n")
+        beside.replace(path)
+    except OSError as error:
+        raise AddressError(f"cannot keep the token in {path}: {error.strerror}") from error
+    return token
+
+
+class ServerThread:
+    """uvicorn on a socket that listens already; connections wait until it is up."""
+
+    def __init__(self, app: ASGIApp, listener: socket.socket) -> None:
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            timeout_graceful_shutdown=1,
+            limit_concurrency=256,
+        )
+        self._server = uvicorn.Server(config)
+        self._listener = listener
+        self._thread = threading.Thread(target=self._serve, name="web server", daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        self._server.run(sockets=[self._listener])
+
+    @property
+    def alive(self) -> bool:
+        """Whether it serves."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.should_exit = True
+        self._thread.join(STOP_S)
+        self._listener.close()

@@ -1,0 +1,97 @@
+// Dragging a video to a place: with mouse, pen or finger. The places appear while one drags.
+
+const FAR = 8; // pixels: less is a click
+
+export class Dragging {
+  // names: of the places; onDrop(video, place): 1 = best.
+  constructor(tray, onDrop) {
+    this.tray = tray;
+    this.onDrop = onDrop;
+    this.held = null;
+    addEventListener("pointermove", (event) => this.move(event));
+    addEventListener("pointerup", (event) => this.end(event));
+    addEventListener("pointercancel", () => this.stop());
+    addEventListener("keydown", (event) => event.key === "Escape" && this.stop());
+    addEventListener("blur", () => this.stop());
+  }
+
+  setPlaces(names) {
+    this.tray.replaceChildren(
+      ...names.map((name, index) => {
+        const place = document.createElement("div");
+        place.textContent = name;
+        place.dataset.place = index + 1;
+        return place;
+      }),
+    );
+  }
+
+  // Make a video's button a handle.
+  attach(button, video) {
+    button.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0 || !event.isPrimary) return;
+      this.held = { button, video, x: event.clientX, y: event.clientY, ghost: null };
+    });
+    button.addEventListener("dragstart", (event) => event.preventDefault());
+    button.addEventListener(
+      "click",
+      (event) => {
+        if (!this.justDropped) return;
+        event.stopImmediatePropagation();
+        event.preventDefault();
+      },
+      true,
+    );
+  }
+
+  move(event) {
+    const held = this.held;
+    if (!held || !event.isPrimary) return;
+    if (!held.ghost) {
+      if (Math.hypot(event.clientX - held.x, event.clientY - held.y) < FAR) return;
+      this.begin(held);
+    }
+    held.ghost.style.transform = `translate(${event.clientX - held.ghost.offsetWidth / 2}px, ${event.clientY - held.ghost.offsetHeight / 2}px)`;
+    const under = this.placeAt(event);
+    for (const place of this.tray.children) place.classList.toggle("over", place === under);
+  }
+
+  begin(held) {
+    const shown = held.button.querySelector("canvas");
+    held.ghost = document.createElement("canvas");
+    held.ghost.className = "ghost";
+    held.ghost.width = shown.width;
+    held.ghost.height = shown.height;
+    held.ghost.getContext("2d").drawImage(shown, 0, 0);
+    document.body.append(held.ghost);
+    document.body.classList.add("dragging");
+    held.button.closest(".card").classList.add("dragged");
+    this.tray.hidden = false;
+  }
+
+  end(event) {
+    const held = this.held;
+    if (held?.ghost) {
+      const place = this.placeAt(event);
+      this.justDropped = true;
+      setTimeout(() => (this.justDropped = false), 0); // after the click that follows
+      if (place) this.onDrop(held.video, Number(place.dataset.place));
+    }
+    this.stop();
+  }
+
+  stop() {
+    const held = this.held;
+    this.held = null;
+    if (!held?.ghost) return;
+    held.ghost.remove();
+    held.button.closest(".card")?.classList.remove("dragged");
+    document.body.classList.remove("dragging");
+    this.tray.hidden = true;
+    for (const place of this.tray.children) place.classList.remove("over");
+  }
+
+  placeAt(event) {
+    return document.elementFromPoint(event.clientX, event.clientY)?.closest(".tray > div") ?? null;
+  }
+}
