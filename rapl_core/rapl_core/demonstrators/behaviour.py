@@ -29,3 +29,5 @@ class Behaviour:
     """Size of smooth random motion added to the script."""
     telling: bool = False
     """Stands for the preferred or the disliked ones where a gallery shows one of each."""
+    unit: tuple[float, ...] = ()
+    """(A,) what random motion of size 1 is in each action; empty: 1."""

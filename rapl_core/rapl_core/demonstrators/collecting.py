@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rapl_core.demonstrators.demonstrator import draw_behaviours, make_demonstrator
 from rapl_core.simulation.simulation import Simulation, episode_rng
@@ -27,6 +28,8 @@ def collect(
 ) -> Iterator[Episode]:
     """Yield ``episodes`` episodes of world 0.
 
+    Where the simulation draws nothing, pictures have no pixels: (T + 1, 0, 0, 3).
+
     :param stream: seed stream of the starts, see ``STREAMS``.
     :param only: behaviours to show; empty for all in their shares.
     :param first: number of the first episode; later calls go on from there.
@@ -38,12 +41,12 @@ def collect(
         noise = float(rng.choice(NOISES))
         demonstrator = make_demonstrator(task, behaviour, rng, noise)
         snapshot = simulation.reset(0, episode_rng(seed, stream, 0, number))
-        snapshots, frames, actions = [snapshot], [simulation.render(0)], []
+        snapshots, frames, actions = [snapshot], [_picture(simulation)], []
         while not snapshot.is_last:
             actions.append(demonstrator.act(snapshot.state, snapshot.step))
             snapshot = simulation.step(0, actions[-1])
             snapshots.append(snapshot)
-            frames.append(simulation.render(0))
+            frames.append(_picture(simulation))
         period_ns = round(task.period_s * 1e9)
         first_ns = number * (task.horizon + 1) * period_ns
         yield Episode(
@@ -60,3 +63,7 @@ def collect(
             success=snapshot.success,
             behaviour=behaviour,
         )
+
+
+def _picture(simulation: Simulation) -> NDArray[np.uint8]:
+    return simulation.render(0) if simulation.draws else np.zeros((0, 0, 3), dtype=np.uint8)

@@ -5,10 +5,15 @@ from numpy.typing import NDArray
 
 from rapl_core.demonstrators.behaviour import Actor, Behaviour
 from rapl_core.demonstrators.grouping import grouping_behaviours
+from rapl_core.demonstrators.planar_avoiding import avoiding_behaviours
+from rapl_core.demonstrators.planar_grouping import planar_grouping_behaviours
+from rapl_core.demonstrators.planar_sweeping import sweeping_behaviours
 from rapl_core.errors import UnknownNameError
 from rapl_core.tasks.base import Task
 from rapl_core.tasks.registry import task_names
 from rapl_core.tasks.tabletop import TabletopGroup
+from rapl_core.tasks.xmagical import AvoidTask, GroupTask
+from rapl_core.tasks.xmagical_sweep import SweepTask
 
 SMOOTHNESS = 0.8
 """Share of the wander that stays from one step to the next."""
@@ -29,6 +34,7 @@ class Demonstrator:
         self._noise = noise
         self._rng = rng
         self._size = len(task.action_names)
+        self._unit = np.array(behaviour.unit or [1.0] * self._size)
         self._drift = np.zeros(self._size)
         self._actor: Actor | None = None
 
@@ -44,9 +50,9 @@ class Demonstrator:
         if self._wander:
             kick = np.sqrt(1 - SMOOTHNESS**2) * self._rng.normal(size=self._size)
             self._drift = SMOOTHNESS * self._drift + kick
-            action = action + self._wander * self._drift
+            action = action + self._wander * self._unit * self._drift
         if self._noise:
-            action = action + self._noise * self._rng.normal(size=self._size)
+            action = action + self._noise * self._unit * self._rng.normal(size=self._size)
         return np.clip(action, -1.0, 1.0)
 
 
@@ -58,6 +64,12 @@ def behaviours_of(task: Task) -> dict[str, Behaviour]:
     # each family of tasks adds its scripts here
     if isinstance(task, TabletopGroup):
         behaviours = grouping_behaviours(task)
+    elif isinstance(task, AvoidTask):
+        behaviours = avoiding_behaviours(task)
+    elif isinstance(task, GroupTask):
+        behaviours = planar_grouping_behaviours(task)
+    elif isinstance(task, SweepTask):
+        behaviours = sweeping_behaviours(task)
     else:
         known = [name for name in task_names() if name != task.name]
         raise UnknownNameError("scripted task", task.name, known)

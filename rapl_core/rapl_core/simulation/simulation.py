@@ -105,6 +105,11 @@ class Simulation:
         return self.renderer.render(self.data[world])
 
     @property
+    def draws(self) -> bool:
+        """Whether it was made to draw pictures."""
+        return self._renderer is not None
+
+    @property
     def renderer(self) -> Renderer:
         """The renderer, for those who draw more than pictures."""
         if self._renderer is None:

@@ -5,6 +5,7 @@ from functools import cache
 from rapl_core.errors import UnknownNameError
 from rapl_core.tasks.base import Task
 from rapl_core.tasks.tabletop import KUKA_GROUP, TabletopGroup
+from rapl_core.tasks.xmagical_catalogue import xmagical_tasks
 
 
 @cache
@@ -17,6 +18,7 @@ def _tasks() -> dict[str, Task]:
             config=KUKA_GROUP,
             human_reward_scale=4.57,
         ),
+        *xmagical_tasks(),
     ]
     return {task.name: task for task in tasks}
 
