@@ -9,7 +9,7 @@ from rapl_core.tasks.xmagical_sweep import SWEEP, SweepTask
 XmagicalTask = AvoidTask | GroupTask | SweepTask
 
 SCALES: dict[str, float] = {
-    "xmagical_avoid": 1.48,
+    "xmagical_avoid": 1.56,
     "xmagical_avoid_gripper": 1.44,
     "xmagical_avoid_mediumstick": 1.43,
     "xmagical_group": 1.16,
@@ -19,11 +19,11 @@ SCALES: dict[str, float] = {
     "xmagical_progress": 2.25,
     "xmagical_sweep_gripper": 2.39,
     "xmagical_sweep_gripper_layout": 2.47,
-    "xmagical_sweep_longstick": 2.4,
+    "xmagical_sweep_longstick": 2.53,
     "xmagical_sweep_longstick_layout": 2.4,
-    "xmagical_sweep_mediumstick": 2.4,
+    "xmagical_sweep_mediumstick": 2.38,
     "xmagical_sweep_mediumstick_layout": 2.4,
-    "xmagical_sweep_shortstick": 2.4,
+    "xmagical_sweep_shortstick": 2.43,
     "xmagical_sweep_shortstick_layout": 2.4,
 }
 """``human_reward_scale``, as experiments/oracle/scales.py prints them."""
