@@ -27,6 +27,7 @@ from rapl_core.representations import (
     TiedTriplet,
     align,
     checkpoint_folder,
+    find_parts,
     get_preset,
     learn_reward,
     make_extractor,
@@ -193,6 +194,7 @@ def _features(
     episodes = EpisodeStore(order.run_folder / "episodes")
     pool = [e.episode_id for e in episodes.summaries() if e.purpose in order.purposes]
     extractor = make_extractor(DEFAULT_BACKBONE, recipe)
+    find_parts(extractor, pool, lambda name: episodes.frames(name)[1:], order.seed)
     features = FeatureStore(extractor, order.run_folder / "features", order.precision)
     for done, episode_id in enumerate(pool):
         on_video(done, len(pool))

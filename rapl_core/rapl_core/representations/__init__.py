@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     )
     from rapl_core.representations.encoder import Encoder
     from rapl_core.representations.extractor import FeatureRecipe, make_extractor
-    from rapl_core.representations.features import FeatureStore
+    from rapl_core.representations.features import FeatureStore, find_parts
     from rapl_core.representations.pooling import Pooling
     from rapl_core.representations.preprocessing import Preprocessing, preprocess
     from rapl_core.representations.presets import Preset, get_preset, preset_names
@@ -42,6 +42,7 @@ _HOMES = {
     "backbone_names": "backbones",
     "checkpoint_folder": "checkpoints",
     "encoder_names": "registry",
+    "find_parts": "features",
     "get_preset": "presets",
     "learn_reward": "rlhf",
     "load_backbone": "backbones",
@@ -70,6 +71,7 @@ __all__ = [
     "backbone_names",
     "checkpoint_folder",
     "encoder_names",
+    "find_parts",
     "get_preset",
     "learn_reward",
     "load_backbone",

@@ -11,7 +11,7 @@ from safetensors.torch import load_file, save_file
 
 from rapl_core.errors import CorruptFileError, WeightsError
 from rapl_core.representations.card import EncoderCard
-from rapl_core.representations.encoder import Encoder
+from rapl_core.representations.encoder import POOLS, Encoder
 from rapl_core.representations.extractor import make_extractor
 from rapl_core.representations.heads import Embedder, empty_head
 from rapl_core.representations.projection import Projection
@@ -41,7 +41,7 @@ def save_encoder(encoder: Encoder, folder: Path, report: dict[str, Any] | None =
     beside = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     try:
         beside.mkdir(parents=True)
-        tensors = {k: v.contiguous() for k, v in encoder.embedder.state_dict().items()}
+        tensors = {k: v.contiguous() for k, v in encoder.tensors.items()}
         save_file(tensors, beside / MODEL_FILE, metadata={"version": encoder.info.version})
         card = {**encoder.card.to_json(), "version": encoder.info.version}
         (beside / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n")
@@ -66,12 +66,16 @@ def load_encoder(folder: Path, weights: Path | None = None) -> Encoder:
     content = _read_card(folder)
     version = content.pop("version", None)
     card = EncoderCard.from_json(content, str(folder / CARD_FILE))
+    tensors, source = _read_tensors(folder), str(folder / MODEL_FILE)
+    of_pools = {k.removeprefix(POOLS): t for k, t in tensors.items() if k.startswith(POOLS)}
     embedder = _empty_embedder(card)
-    load_into(embedder, _read_tensors(folder), str(folder / MODEL_FILE))
+    load_into(embedder, {k: t for k, t in tensors.items() if not k.startswith(POOLS)}, source)
     recorded = Path(card.weights_file) if card.weights_file else None
     if weights is None and recorded is not None and recorded.is_file():
         weights = recorded
-    encoder = Encoder(make_extractor(card.backbone, card.recipe, weights), embedder, card)
+    extractor = make_extractor(card.backbone, card.recipe, weights)
+    load_into(extractor.pools, of_pools, source)
+    encoder = Encoder(extractor, embedder, card)
     if encoder.info.version != version:
         raise CorruptFileError(
             f"{folder} was saved as encoder {version} and reads as {encoder.info.version}: "

@@ -14,6 +14,9 @@ from rapl_core.representations.heads import Embedder
 from rapl_core.transport import TransportConfig, ot_reward
 from rapl_core.types import EmbeddedEpisode, EncoderInfo, Episode, RewardTrace
 
+POOLS = "pools."
+"""How the names of the poolings' tensors begin in a checkpoint."""
+
 
 class Encoder:
     """Preprocessing, frozen backbone, pooling, statistics and head, and a rule for rewards.
@@ -31,13 +34,20 @@ class Encoder:
                 f"{card.backbone_sha256[:12]}..., found "
                 f"{extractor.backbone.weights_sha256[:12]}... of {extractor.backbone.spec.name}"
             )
-        for name, tensor in embedder.state_dict().items():
+        if extractor.needs_parts:
+            raise WeightsError(f"encoder {card.method}: the parts of its pictures are not known")
+        for name, tensor in encoder_tensors(extractor, embedder).items():
             if not bool(torch.isfinite(tensor).all()):
                 raise WeightsError(f"encoder {card.method}: {name} has NaN or infinite values")
         self.card = card
         self.extractor = extractor.eval().requires_grad_(False)
         self.embedder = embedder.eval().requires_grad_(False)
-        self._version = card.version(embedder.state_dict())
+        self._version = card.version(self.tensors)
+
+    @property
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """What a checkpoint holds: everything but the backbone."""
+        return encoder_tensors(self.extractor, self.embedder)
 
     @property
     def info(self) -> EncoderInfo:
@@ -104,6 +114,12 @@ class Encoder:
         :raises ShapeError: for embeddings of another width, NaN, or without experts.
         """
         return reward_of(self.card, z, experts)
+
+
+def encoder_tensors(extractor: FeatureExtractor, embedder: Embedder) -> dict[str, torch.Tensor]:
+    """An encoder's own tensors by name; those of the poolings begin with :data:`POOLS`."""
+    pools = {POOLS + name: tensor for name, tensor in extractor.pools.state_dict().items()}
+    return {**embedder.state_dict(), **pools}
 
 
 def matched_part(frames: NDArray[Any], expert_from: float) -> NDArray[Any]:

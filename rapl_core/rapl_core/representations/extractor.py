@@ -1,18 +1,22 @@
 """The frozen part of an encoder: preprocessing, backbone, pooling."""
 
 import hashlib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
 
 from rapl_core.errors import ShapeError, UnknownNameError
 from rapl_core.representations.backbones import Backbone, Stage, load_backbone
-from rapl_core.representations.pooling import Pool, Pooling
+from rapl_core.representations.parts import PartPool
+from rapl_core.representations.pooling import Pooling, make_pool
 from rapl_core.representations.preprocessing import Preprocessing, preprocess
+from rapl_core.representations.weights import tensors_sha256
 
 Precision = Literal["float32", "bfloat16"]
 
@@ -40,7 +44,12 @@ class FeatureExtractor(nn.Module):
         self.backbone = backbone
         self.recipe = recipe
         self.preprocessing = _sized(backbone.spec.preprocessing, recipe.size)
-        self.pools = nn.ModuleList(Pool(pooling) for pooling in recipe.poolings)
+        self.pools = nn.ModuleList(
+            make_pool(pooling, backbone.channels(stage))
+            for stage in backbone.stages
+            for pooling in recipe.poolings
+        )
+        """For each stage each pooling."""
 
     @property
     def dimension(self) -> int:
@@ -50,14 +59,40 @@ class FeatureExtractor(nn.Module):
 
     @property
     def version(self) -> str:
-        """16 hex digits for weights, preprocessing and recipe."""
-        text = repr((self.backbone.weights_sha256, asdict(self.preprocessing), asdict(self.recipe)))
+        """16 hex digits for weights, preprocessing, recipe and parts."""
+        parts = tensors_sha256(self.pools.state_dict())
+        recipe = (asdict(self.preprocessing), asdict(self.recipe))
+        text = repr((self.backbone.weights_sha256, *recipe, parts))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """(N, 3, height, width) -> (N, F) float32."""
         maps = self.backbone(x)
-        return torch.cat([pool(m) for m in maps for pool in self.pools], dim=1)
+        return torch.cat([pool(m) for pool, m in self._pooled(maps)], dim=1)
+
+    @property
+    def needs_parts(self) -> bool:
+        """Whether :meth:`find_parts` must be called before there are features."""
+        return any(isinstance(p, PartPool) and not p.is_fitted for p in self.pools)
+
+    def find_parts(self, pictures: Iterable[NDArray[Any]], rng: np.random.Generator) -> None:
+        """Find the parts that poolings of kind ``parts`` describe pictures by.
+
+        :param pictures: frames (N, H, W, 3) uint8 RGB of one video after another, some hundred
+            altogether; no labels.
+        :raises ShapeError: for frames of another shape or dtype, or fewer than two.
+        """
+        with torch.inference_mode():
+            batches = [self.backbone(preprocess(p, self.preprocessing)) for p in pictures]
+            maps = [torch.cat(of_stage) for of_stage in zip(*batches, strict=True)]
+            for pool, of_stage in self._pooled(maps):
+                if isinstance(pool, PartPool):
+                    pool.fit(of_stage, rng)
+
+    def _pooled(self, maps: Sequence[torch.Tensor]) -> Iterator[tuple[nn.Module, torch.Tensor]]:
+        """Each pool with the maps that go through it."""
+        stages = (m for m in maps for _ in self.recipe.poolings)
+        return zip(self.pools, stages, strict=True)
 
     def extract(
         self, frames: NDArray[Any], precision: Precision = "float32", batch_size: int = 16

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from rapl_core.errors import ShapeError, UnknownNameError
+from rapl_core.errors import ShapeError, UnknownNameError, WeightsError
 from rapl_core.representations.extractor import FeatureExtractor, Precision
 from rapl_core.types import Episode, check_episode_id
 
 _STORED = {"float16": np.float16, "float32": np.float32}
+
+_PARTS_STREAM = 0x9A27
+_PARTS_VIDEOS, _PARTS_FRAMES = 150, 12
+"""Parts are found in at most so many videos, and so many frames of each."""
 
 
 class FeatureStore(Mapping[str, NDArray[np.float32]]):
@@ -37,6 +41,8 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
     ) -> None:
         if dtype not in _STORED:
             raise UnknownNameError("feature dtype", dtype, _STORED)
+        if extractor.needs_parts:
+            raise WeightsError("features need the parts of the task's pictures: find them first")
         self.extractor = extractor
         self.precision: Precision = precision
         self.computed = 0
@@ -83,6 +89,30 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
 
     def __len__(self) -> int:
         return len(self._features)
+
+
+def find_parts(
+    extractor: FeatureExtractor,
+    videos: Sequence[str],
+    frames_of: Callable[[str], NDArray[np.uint8]],
+    seed: int,
+) -> None:
+    """Let an extractor find the parts of a pool's pictures, if it is read by parts.
+
+    :param videos: the pool; training videos only.
+    :param frames_of: a video's (T, H, W, 3) frames.
+    """
+    if not extractor.needs_parts:
+        return
+    rng = np.random.default_rng([seed, _PARTS_STREAM])
+    chosen = rng.choice(len(videos), min(_PARTS_VIDEOS, len(videos)), replace=False)
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
+        for index in np.sort(chosen):
+            frames = frames_of(videos[index])
+            yield frames[rng.choice(len(frames), min(_PARTS_FRAMES, len(frames)), replace=False)]
+
+    extractor.find_parts(pictures(), rng)
 
 
 def _content_hash(frames: NDArray[np.uint8]) -> str:

@@ -8,8 +8,9 @@ from torch import nn
 from torch.nn import functional
 
 from rapl_core.errors import ShapeError, UnknownNameError
+from rapl_core.representations.parts import NUMBERS_OF_A_PART, PartPool, cell_centres
 
-PoolingKind = Literal["gap", "grid", "moments"]
+PoolingKind = Literal["gap", "grid", "moments", "parts"]
 Attention = Literal["softmax", "positive"]
 
 _TINY = 1e-6
@@ -22,7 +23,8 @@ class Pooling:
     ``gap``: the mean of each channel, C numbers. ``grid``: means over grid x grid cells, C grid^2
     numbers. ``moments``: where each channel looks, its attention's mean position (x, y) and, with
     ``second_moments``, spread (var x, var y, cov xy), and the channel's mean: 3 C or 6 C numbers;
-    positions run from -1 to 1, so that the place of an object is linear in the vector.
+    positions run from -1 to 1, so that the place of an object is linear in the vector. ``parts``:
+    the same for clusters of cells in place of channels, 5 numbers a part; see ``parts.py``.
     """
 
     kind: PoolingKind = "gap"
@@ -34,6 +36,10 @@ class Pooling:
     sharpness: float = 2.0
     """Softmax only: per standard deviation of the channel over the picture."""
     second_moments: bool = False
+    parts: int = 64
+    """Parts only: how many."""
+    softness: float = 0.3
+    """Parts only; see :class:`~rapl_core.representations.parts.PartPool`."""
 
     def __post_init__(self) -> None:
         for what, name, known in (
@@ -42,14 +48,14 @@ class Pooling:
         ):
             if name not in known:
                 raise UnknownNameError(what, name, known)
-        if self.grid < 1 or self.sharpness <= 0:
-            raise ShapeError(
-                f"pooling has grid {self.grid} and sharpness {self.sharpness}, "
-                "expected both positive"
-            )
+        for name in ("grid", "sharpness", "parts", "softness"):
+            if not getattr(self, name) > 0:
+                raise ShapeError(f"pooling has {name} {getattr(self, name)}, expected more than 0")
 
     def size(self, channels: int) -> int:
         """Length of the vector that a map of that many channels becomes."""
+        if self.kind == "parts":
+            return NUMBERS_OF_A_PART * self.parts
         per_channel = {
             "gap": 1,
             "grid": self.grid**2,
@@ -58,8 +64,15 @@ class Pooling:
         return channels * per_channel[self.kind]
 
 
+def make_pool(config: Pooling, channels: int) -> nn.Module:
+    """A module (N, C, h, w) -> (N, size(C)) for maps of that many channels."""
+    if config.kind == "parts":
+        return PartPool(channels, config.parts, config.softness)
+    return Pool(config)
+
+
 class Pool(nn.Module):
-    """Pooling as a module without parameters."""
+    """Pooling of every kind but ``parts``: a module without parameters."""
 
     def __init__(self, config: Pooling) -> None:
         super().__init__()
@@ -77,7 +90,7 @@ class Pool(nn.Module):
     def _moments(self, maps: torch.Tensor) -> torch.Tensor:
         n, c, h, w = maps.shape
         attention = self._attention(maps.flatten(2)).reshape(n, c, h, w)
-        xs, ys = _cell_centres(w), _cell_centres(h)
+        xs, ys = cell_centres(w), cell_centres(h)
         columns, rows = attention.sum(-2), attention.sum(-1)  # (N, C, w), (N, C, h)
         x, y = columns @ xs, rows @ ys  # (N, C)
         numbers = [x, y, maps.mean((-1, -2))]
@@ -94,8 +107,3 @@ class Pool(nn.Module):
             return torch.softmax(self.config.sharpness * centred / spread, dim=-1)
         positive = centred.clamp_min(0.0) + _TINY
         return positive / positive.sum(-1, keepdim=True)
-
-
-def _cell_centres(cells: int) -> torch.Tensor:
-    """Centres of cells that tile [-1, 1]."""
-    return (torch.arange(cells) * 2.0 + 1.0) / cells - 1.0

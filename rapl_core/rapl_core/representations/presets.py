@@ -50,9 +50,12 @@ class Preset:
     experts_per_batch: int = 3
     expert_from: float = 0.0
     """Of an expert video only what comes after this share of it is matched; 0: all of it."""
-    progress_weight: float = 0.0
-    """Of a Bradley-Terry term over pairs of frames of one expert video: the later one is nearer
-    to what experts end with."""
+    slow_weight: float = 0.0
+    """Of a term that asks embeddings to move little between frames of any video, in proportion to
+    how far they lie apart over all videos: what a person judges rests unless it is acted upon,
+    the arm never does (slowness: Wiskott and Sejnowski 2002)."""
+    slow_lag: float = 1 / 12
+    """How far apart those frames are, as a share of the video."""
     longest_cut: float = 0.0
     """In training, drop a random share of up to this of the start of all videos of a batch."""
     frames: int | None = None
@@ -81,7 +84,7 @@ class Preset:
                 raise UnknownNameError(kind, name, known)
         for field, lowest in (
             ("dimension", 1), ("temperature", 1e-6), ("tie_weight", 0), ("expert_weight", 0),
-            ("experts_per_batch", 1), ("progress_weight", 0), ("learning_rate", 1e-12),
+            ("experts_per_batch", 1), (0), ("learning_rate", 1e-12),
             ("weight_decay", 0), ("batch_size", 1), ("epochs", 1),
         ):  # fmt: skip
             if not getattr(self, field) >= lowest:
@@ -89,7 +92,7 @@ class Preset:
                     f"preset {self.name}: {field} is {getattr(self, field)}, "
                     f"expected at least {lowest}"
                 )
-        for field in ("longest_cut", "held_out", "expert_from"):
+        for field in ("longest_cut", "held_out", "expert_from", "slow_lag"):
             if not 0 <= getattr(self, field) < 1:
                 raise ShapeError(
                     f"preset {self.name}: {field} is {getattr(self, field)}, expected 0 <= . < 1"
@@ -125,19 +128,20 @@ AUTHORS_CODE = Preset(
 
 _UNIFORM = TransportConfig(cost="euclidean", solver="uniform", expert="mean")
 
-# Departs from the paper: Euclidean cost, epsilon infinite, a term anchored at expert videos, a grid
-# of features with principal components, random cuts, the mean over all experts, and of each expert
-# video only the last sixth: matched with all of it, the best place to be is half-way to the goal. A
-# term of progress within expert videos keeps the reward rising up to the goal.
+# Departs from the paper: Euclidean cost, epsilon infinite, a term anchored at expert videos, the
+# task's own parts as features, slowness, random cuts, the mean over all experts, and of each expert
+# video only the last sixth: matched with all of it, the best place to be is half-way to the goal.
 TUNED = Preset(
     name="tuned",
-    recipe=FeatureRecipe(stages=("stride16",), poolings=(Pooling("grid", grid=4),)),
+    recipe=FeatureRecipe(
+        stages=("stride2",), poolings=(Pooling("parts", parts=32, softness=0.1),)
+    ),
     has_projection=True,
-    components=256,
+    components=160,
     training=_UNIFORM,
     reward=_UNIFORM,
     expert_weight=1.0,
-    progress_weight=0.5,
+    slow_weight=4.0,
     expert_from=5 / 6,
     longest_cut=0.66,
     frames=20,
@@ -145,7 +149,7 @@ TUNED = Preset(
     learning_rate=1e-2,
     weight_decay=1.0,
     batch_size=16,
-    epochs=40,
+    epochs=80,
     held_out=0.15,
 )
 

@@ -15,8 +15,8 @@ from rapl_core.errors import ConvergenceError
 from rapl_core.representations.presets import Preset
 from rapl_core.types import DoubtedTriplet, Triplet
 
-PROGRESS_PAIRS = 64
-"""Pairs of expert frames a batch."""
+SLOW_PAIRS = 768
+"""Pairs of frames of any video a batch."""
 
 Features = Mapping[str, NDArray[np.float32]]
 
@@ -40,10 +40,10 @@ class Batch:
     """(E, T, K)"""
     ties: torch.Tensor
     """(3, B', T, K) best, first and second video of each tied triplet; B' may be 0."""
-    progress: torch.Tensor | None = None
-    """(2, P, K) an earlier and a later frame of one expert video."""
     mistakes: torch.Tensor | None = None
     """(B,) probability that a comparison of each triplet was answered wrong; None: none was."""
+    slow: torch.Tensor | None = None
+    """(2, P, K) two frames of one video, a fixed time apart."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +109,13 @@ class TrainingData:
         matched = self.videos[experts, max(start, self.expert_start) :]
         return Batch(cut[triplets.T], matched, cut[ties.T])
 
-    def progress(self, pairs: int, rng: np.random.Generator) -> torch.Tensor:
-        """(2, P, K) frames of expert videos, the later one up to a third of the video later."""
-        length = self.videos.shape[1]
-        videos = self.experts[torch.from_numpy(rng.integers(len(self.experts), size=pairs))]
-        earlier = rng.integers(max(length - 1, 1), size=pairs)
-        later = np.minimum(earlier + rng.integers(1, max(length // 3, 2), size=pairs), length - 1)
-        return torch.stack([self.videos[videos, torch.from_numpy(t)] for t in (earlier, later)])
+    def slow(self, pairs: int, lag: float, rng: np.random.Generator) -> torch.Tensor:
+        """(2, P, K) frames of any videos, the later one ``lag`` of the video later."""
+        count, length = self.videos.shape[:2]
+        ahead = min(max(round(lag * length), 1), length - 1)
+        videos = torch.from_numpy(rng.integers(count, size=pairs))
+        earlier = torch.from_numpy(rng.integers(max(length - ahead, 1), size=pairs))
+        return torch.stack([self.videos[videos, t] for t in (earlier, earlier + ahead)])
 
 
 @dataclass(frozen=True)
@@ -188,8 +188,8 @@ def _batches(data: TrainingData, preset: Preset, rng: np.random.Generator) -> li
                     data.ties[torch.from_numpy(ties)],
                     start=int(rng.integers(longest + 1)),
                 ),
-                progress=data.progress(PROGRESS_PAIRS, rng) if preset.progress_weight else None,
                 mistakes=data.train_mistakes[rows],
+                slow=data.slow(SLOW_PAIRS, preset.slow_lag, rng) if preset.slow_weight else None,
             )
         )
     return batches

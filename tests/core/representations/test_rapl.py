@@ -164,26 +164,28 @@ def test_bad_input_is_refused_by_name(features, pool):
         align(features, pool.triplets, pool.expert_ids, broken, rng)
 
 
-def test_progress_pairs_are_frames_of_one_expert_video_in_order():
-    videos = {n: np.arange(8, dtype=np.float32)[:, None] + 100 * i for i, n in enumerate("abc")}
-    data = TrainingData(videos, [], [], ["a", "c"], [], None)
-    earlier, later = data.progress(200, np.random.default_rng(0)).squeeze(-1).numpy()
-    assert set(np.unique(earlier // 100)) == {0, 2}, "frames of experts alone"
+def test_slow_pairs_are_frames_of_one_video_a_fixed_time_apart():
+    videos = {n: np.arange(24, dtype=np.float32)[:, None] + 100 * i for i, n in enumerate("abc")}
+    data = TrainingData(videos, [], [], ["a"], [], None)
+    earlier, later = data.slow(300, 1 / 12, np.random.default_rng(0)).squeeze(-1).numpy()
+    assert set(np.unique(earlier // 100)) == {0, 1, 2}, "of any video, not of experts alone"
     assert np.array_equal(earlier // 100, later // 100), "of one video"
-    assert (later > earlier).all() and (later - earlier <= 2).all()
+    assert np.all(later - earlier == 2)
 
 
-def test_the_progress_term_asks_that_later_frames_be_nearer_to_the_experts_end():
-    preset = replace(TUNED, expert_weight=0.0)
-    videos = torch.zeros(3, 1, 4, 2)
-    experts = torch.tensor([[[1.0, 0.0]]])
-    far, near = torch.tensor([[-1.0, 0.0]]), torch.tensor([[0.5, 0.0]])
+def test_the_slowness_term_prefers_what_rests_to_what_always_moves():
+    videos, experts = torch.zeros(3, 1, 4, 2), torch.zeros(1, 1, 2)
+    place = torch.randn(2000, 1, generator=torch.Generator().manual_seed(0))
+    resting = torch.stack([place, place])
+    moving = torch.stack([place, place.roll(1, 0)])
     losses = [
         float(
-            RaplObjective(preset).loss(
-                torch.nn.Identity(), Batch(videos, experts, videos[:, :0], torch.stack(pair))
+            RaplObjective(replace(TUNED, expert_weight=0.0, slow_weight=1.0)).loss(
+                torch.nn.Identity(), Batch(videos, experts, videos[:, :0], slow=pair)
             )
         )
-        for pair in ((far, near), (near, far))
+        for pair in (resting, 10 * resting, moving, 10 * moving)
     ]
-    assert losses[0] < losses[1]
+    assert losses[0] == pytest.approx(losses[1]) and losses[2] == pytest.approx(losses[3])
+    # two independent draws lie sqrt(2) times as far apart as each from the mean
+    assert losses[2] - losses[0] == pytest.approx(np.sqrt(2), rel=0.05)
