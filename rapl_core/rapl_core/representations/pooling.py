@@ -48,9 +48,11 @@ class Pooling:
         ):
             if name not in known:
                 raise UnknownNameError(what, name, known)
-        for name in ("grid", "sharpness", "parts", "softness"):
-            if not getattr(self, name) > 0:
-                raise ShapeError(f"pooling has {name} {getattr(self, name)}, expected more than 0")
+        for field in ("grid", "sharpness", "parts", "softness"):
+            if not getattr(self, field) > 0:
+                raise ShapeError(
+                    f"pooling has {field} {getattr(self, field)}, expected more than 0"
+                )
 
     def size(self, channels: int) -> int:
         """Length of the vector that a map of that many channels becomes."""

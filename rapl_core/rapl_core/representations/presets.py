@@ -84,7 +84,7 @@ class Preset:
                 raise UnknownNameError(kind, name, known)
         for field, lowest in (
             ("dimension", 1), ("temperature", 1e-6), ("tie_weight", 0), ("expert_weight", 0),
-            ("experts_per_batch", 1), (0), ("learning_rate", 1e-12),
+            ("experts_per_batch", 1), ("slow_weight", 0), ("learning_rate", 1e-12),
             ("weight_decay", 0), ("batch_size", 1), ("epochs", 1),
         ):  # fmt: skip
             if not getattr(self, field) >= lowest:
@@ -133,9 +133,7 @@ _UNIFORM = TransportConfig(cost="euclidean", solver="uniform", expert="mean")
 # video only the last sixth: matched with all of it, the best place to be is half-way to the goal.
 TUNED = Preset(
     name="tuned",
-    recipe=FeatureRecipe(
-        stages=("stride2",), poolings=(Pooling("parts", parts=32, softness=0.1),)
-    ),
+    recipe=FeatureRecipe(stages=("stride2",), poolings=(Pooling("parts", parts=32, softness=0.1),)),
     has_projection=True,
     components=160,
     training=_UNIFORM,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import nn
-from torch.nn.functional import logsigmoid
 
 from rapl_core.representations.alignment import (
     Fit,
@@ -80,8 +79,9 @@ def _slowness(z: torch.Tensor) -> torch.Tensor:
     Departs from the paper: the arm moves in every frame of every video and earns a reward that
     only rankings with mimes speak against; what is slower is preferred.
     """
-    spread = (z[0] - z[0].mean(0)).norm(dim=-1).mean()
-    return (z[1] - z[0]).norm(dim=-1).mean() / spread.clamp_min(1e-6)
+    moved: torch.Tensor = torch.linalg.vector_norm(z[1] - z[0], dim=-1).mean()
+    spread = torch.linalg.vector_norm(z[0] - z[0].mean(0), dim=-1).mean()
+    return moved / spread.clamp_min(1e-6)
 
 
 def align(

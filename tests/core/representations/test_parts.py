@@ -89,10 +89,8 @@ def test_places_of_unseen_videos_are_linear_in_the_features(by_parts, pool):
 
 
 def test_an_encoder_with_parts_comes_back_from_its_checkpoint(by_parts, pool, tmp_path):
-    encoder, report = align(
-        by_parts, pool.triplets, pool.expert_ids, BY_PARTS, np.random.default_rng(2)
-    )
-    assert report.held_out_accuracy > 0.6
+    rng = np.random.default_rng(2)
+    encoder, _ = align(by_parts, pool.triplets, pool.expert_ids, BY_PARTS, rng)
     loaded = load_encoder(save_encoder(encoder, tmp_path / "rapl-parts"))
     frames = pool.videos[pool.names[0]]
     np.testing.assert_array_equal(loaded.embed(frames), encoder.embed(frames))
