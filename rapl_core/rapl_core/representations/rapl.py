@@ -80,7 +80,7 @@ def _slowness(z: torch.Tensor) -> torch.Tensor:
     only rankings with mimes speak against; what is slower is preferred.
     """
     moved: torch.Tensor = torch.linalg.vector_norm(z[1] - z[0], dim=-1).mean()
-    spread = torch.linalg.vector_norm(z[0] - z[0].mean(0), dim=-1).mean()
+    spread: torch.Tensor = torch.linalg.vector_norm(z[0] - z[0].mean(0), dim=-1).mean()
     return moved / spread.clamp_min(1e-6)
 
 
