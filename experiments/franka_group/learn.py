@@ -135,11 +135,6 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--triplets", type=int, default=150)
     parser.add_argument("--pool", type=int, default=300)
-    parser.add_argument("--train-ratio", type=float, default=1.0)
-    parser.add_argument("--lr", type=float, default=4e-4)
-    parser.add_argument("--gamma", type=float, default=0.98)
-    parser.add_argument("--batch", type=int, default=256)
-    parser.add_argument("--tag", default="")
     parser.add_argument("--evaluate-every", type=int, default=5_000)
     parser.add_argument("--work", type=Path, default=Path("runs/study"), help="pools, checkpoints")
     parser.add_argument("--results", type=Path, default=HERE / "results")
@@ -148,10 +143,7 @@ def main() -> None:
     # torchvision crashes when it is first imported after an EGL context was made
     make_extractor(DEFAULT_BACKBONE, RAW_RECIPE)
     is_preset = options.reward in ("rapl", "rlhf")
-    name = (
-        "-".join([options.reward, *([options.preset] if is_preset else []), str(options.seed)])
-        + options.tag
-    )
+    name = "-".join([options.reward, *([options.preset] if is_preset else []), str(options.seed)])
     folder = options.work / name
     folder.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
@@ -174,10 +166,8 @@ def main() -> None:
         reward = EncoderReward(encoder, experts)
         result["offline"] = judge(reward, make_videos(options.seed, "test", 100, options.work))
         print(name, {k: v for k, v in result.items()}, flush=True)
-    schedule = ScheduleConfig(
-        steps=options.steps, evaluate_every=options.evaluate_every, train_ratio=options.train_ratio
-    )
-    sac = SacConfig(learning_rate=options.lr, discount=options.gamma, batch_size=options.batch)
+    schedule = ScheduleConfig(steps=options.steps, evaluate_every=options.evaluate_every)
+    sac = SacConfig()
 
     def tell(event: LearningEvent) -> None:
         if event.evaluation is not None:

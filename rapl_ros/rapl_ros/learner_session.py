@@ -21,6 +21,7 @@ from rapl_core.policies import (
     ScheduleConfig,
 )
 from rapl_core.policies.evaluation import EpisodeOutcome, summarise_evaluation
+from rapl_core.policies.observation import observation_size
 from rapl_core.tasks import get_task
 from rapl_core.types import RewardTrace
 from rapl_ros.players import EpisodeTally, TrainingPlayer
@@ -54,9 +55,9 @@ class LearnerSession:
         self.worlds = world.worlds
         self.folder = run_folder / POLICIES
         self.checkpoints = CheckpointFolder(self.folder)
-        observation = self.task.policy_features(np.zeros(len(self.task.state_names)))  # (F,)
+        observation = observation_size(self.task)
         actions = len(self.task.action_names)
-        self.learning = Learning(len(observation), actions, sac, schedule, seed, background=True)
+        self.learning = Learning(observation, actions, sac, schedule, seed, background=True)
         self.curve = LearningCurve()
         self.dropped = 0
         self.swaps = 0

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rapl_core.policies import Learning, SacTrainer
+from rapl_core.policies.observation import observe
 from rapl_core.tasks import Task
 from rapl_ros.wire import Instant
 
@@ -24,10 +25,13 @@ class EpisodeTally:
     """Sum of r* over the states arrived in; NaN where the truth is unknown."""
     success: bool | None = None
     ended: bool = False
+    state: NDArray[np.float64] | None = None
+    """(S,) of the last instant."""
 
     def add(self, instant: Instant) -> None:
         """Take the next instant."""
         self.steps, self.purpose = instant.step, instant.purpose
+        self.state = instant.values
         if instant.step > 0:
             known = instant.human_reward is not None
             self.human_return += float(instant.human_reward) if known else math.nan
@@ -47,10 +51,12 @@ class _Tallying:
         self.tallies = {name: EpisodeTally(name, world) for world, name in enumerate(episode_ids)}
 
     def _observe(self, instants: Sequence[Instant]) -> NDArray[np.float32]:
+        observations = []
         for instant in instants:
-            self.tallies[instant.episode_id].add(instant)
-        features = [self._task.policy_features(instant.values) for instant in instants]
-        return np.stack(features)  # (W, F)
+            tally = self.tallies[instant.episode_id]
+            observations.append(observe(self._task, instant.values, tally.state))
+            tally.add(instant)
+        return np.stack(observations)  # (W, F)
 
 
 class TrainingPlayer(_Tallying):

@@ -17,8 +17,9 @@ from rapl_core.policies.evaluation import EpisodeOutcome, Evaluation, summarise_
 from rapl_core.policies.learning import Learning
 from rapl_core.policies.learning_curve import CurvePoint, LearningCurve
 from rapl_core.policies.metrics_log import MetricsLog
+from rapl_core.policies.observation import observation_size
 from rapl_core.policies.rewards import EpisodeReward
-from rapl_core.policies.rollout import Rollout, observe_size
+from rapl_core.policies.rollout import Rollout
 from rapl_core.simulation.simulation import Simulation
 from rapl_core.tasks import get_task
 from rapl_core.types import Episode
@@ -98,7 +99,7 @@ class _Run:
         self.simulation = Simulation(task, schedule.worlds, render=reward.needs_frames)
         self.rollout = Rollout(self.simulation, seed)
         self.learning = Learning(
-            observe_size(task), len(task.action_names), sac, schedule, seed, background
+            observation_size(task), len(task.action_names), sac, schedule, seed, background
         )
         self.learning.reward_source = reward.source
         self.folder = None if folder is None else Path(folder)

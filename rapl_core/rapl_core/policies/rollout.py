@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rapl_core.policies.observation import observe
 from rapl_core.simulation.simulation import Simulation, Snapshot, episode_rng
 from rapl_core.tasks import Task
 from rapl_core.types import Episode
@@ -63,7 +64,7 @@ class Rollout:
             rng = episode_rng(self._seed, purpose, world, number)
             tracks[world].add(simulation.reset(world, rng), self._picture(world, frames))
         for step in range(task.horizon):
-            observations = np.stack([task.policy_features(t.last.state) for t in tracks])  # (W, F)
+            observations = np.stack([t.observe(task) for t in tracks])  # (W, F)
             actions = act(step, observations)
             for world in worlds:
                 snapshot = simulation.step(world, actions[world])
@@ -99,8 +100,7 @@ class Rollout:
             success=track.last.success,
             behaviour="policy",
         )
-        last = task.policy_features(track.last.state)
-        return EndedEpisode(episode, last, track.last.terminated)
+        return EndedEpisode(episode, track.observe(task), track.last.terminated)
 
 
 class _Track:
@@ -115,11 +115,11 @@ class _Track:
     def last(self) -> Snapshot:
         return self.snapshots[-1]
 
+    def observe(self, task: Task) -> NDArray[np.float32]:
+        """What the policy sees of the last snapshot."""
+        before = self.snapshots[-2].state if len(self.snapshots) > 1 else None
+        return observe(task, self.last.state, before)
+
     def add(self, snapshot: Snapshot, picture: NDArray[np.uint8]) -> None:
         self.snapshots.append(snapshot)
         self.pictures.append(picture)
-
-
-def observe_size(task: Task) -> int:
-    """Return F, the size of the learner's observation."""
-    return len(task.policy_features(np.zeros(len(task.state_names))))
