@@ -47,8 +47,6 @@ class RaplObjective:
             loss = loss + self.preset.expert_weight * self._expert_loss(
                 z, head(batch.experts), batch.mistakes
             )
-        if batch.slow is not None:
-            loss = loss + self.preset.slow_weight * _slowness(head(batch.slow))
         return loss
 
     def correct(self, head: nn.Module, batch: Batch) -> torch.Tensor:
@@ -71,17 +69,6 @@ class RaplObjective:
         best, middle, worst = far / self.preset.temperature
         pairs = torch.stack([middle - best, worst - middle, worst - best])  # (3, B)
         return -log_likelihood(pairs, mistakes, self.preset.noise).sum(0).mean()
-
-
-def _slowness(z: torch.Tensor) -> torch.Tensor:
-    """How far embeddings (2, P, D) of one video move, over how far apart all lie (a scalar).
-
-    Departs from the paper: the arm moves in every frame of every video and earns a reward that
-    only rankings with mimes speak against; what is slower is preferred.
-    """
-    moved: torch.Tensor = torch.linalg.vector_norm(z[1] - z[0], dim=-1).mean()
-    spread: torch.Tensor = torch.linalg.vector_norm(z[0] - z[0].mean(0), dim=-1).mean()
-    return moved / spread.clamp_min(1e-6)
 
 
 def align(

@@ -149,6 +149,8 @@ def train_head(
         for batch in _batches(data, preset, rng):
             optimiser.zero_grad()
             loss = objective.loss(head, batch)
+            if batch.slow is not None:
+                loss = loss + preset.slow_weight * slowness(head(batch.slow))
             if not bool(torch.isfinite(loss)):
                 raise ConvergenceError(
                     f"the loss became {float(loss.detach())} in epoch {epoch} of preset "
@@ -169,6 +171,17 @@ def train_head(
             break
     head.load_state_dict(best_state)
     return History(tuple(epochs), best_epoch)
+
+
+def slowness(z: torch.Tensor) -> torch.Tensor:
+    """How far embeddings (2, P, D) of one video move, over how far apart all lie (a scalar).
+
+    Departs from the paper: the arm moves in every frame of every video and earns a reward that
+    only rankings with mimes speak against; what is slower is preferred.
+    """
+    moved: torch.Tensor = torch.linalg.vector_norm(z[1] - z[0], dim=-1).mean()
+    spread: torch.Tensor = torch.linalg.vector_norm(z[0] - z[0].mean(0), dim=-1).mean()
+    return moved / spread.clamp_min(1e-6)
 
 
 def _batches(data: TrainingData, preset: Preset, rng: np.random.Generator) -> list[Batch]:

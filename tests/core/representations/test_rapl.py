@@ -14,7 +14,7 @@ from rapl_core.representations.alignment import Lesson
 from rapl_core.representations.presets import AUTHORS_CODE, PAPER, TUNED
 from rapl_core.representations.rapl import RaplObjective, align, fit_rapl
 from rapl_core.representations.report import wilson_interval
-from rapl_core.representations.training import Batch, TiedTriplet, TrainingData
+from rapl_core.representations.training import Batch, TiedTriplet, TrainingData, slowness
 from rapl_core.transport import ot_distance
 from rapl_core.types import EmbeddedEpisode, Triplet
 
@@ -173,19 +173,33 @@ def test_slow_pairs_are_frames_of_one_video_a_fixed_time_apart():
     assert np.all(later - earlier == 2)
 
 
-def test_the_slowness_term_prefers_what_rests_to_what_always_moves():
-    videos, experts = torch.zeros(3, 1, 4, 2), torch.zeros(1, 1, 2)
+def test_slowness_is_how_far_things_move_over_how_far_they_lie_apart():
     place = torch.randn(2000, 1, generator=torch.Generator().manual_seed(0))
-    resting = torch.stack([place, place])
-    moving = torch.stack([place, place.roll(1, 0)])
-    losses = [
-        float(
-            RaplObjective(replace(TUNED, expert_weight=0.0, slow_weight=1.0)).loss(
-                torch.nn.Identity(), Batch(videos, experts, videos[:, :0], slow=pair)
-            )
-        )
-        for pair in (resting, 10 * resting, moving, 10 * moving)
-    ]
-    assert losses[0] == pytest.approx(losses[1]) and losses[2] == pytest.approx(losses[3])
-    # two independent draws lie sqrt(2) times as far apart as each from the mean
-    assert losses[2] - losses[0] == pytest.approx(np.sqrt(2), rel=0.05)
+    resting, moving = torch.stack([place, place]), torch.stack([place, place.roll(1, 0)])
+    # two independent draws lie sqrt(2) times as far apart as each from the mean, in any unit
+    wanted = np.sqrt(2)
+    assert float(slowness(resting)) == 0.0
+    assert float(slowness(moving)) == pytest.approx(wanted, rel=0.05)
+    assert float(slowness(10 * moving + 3)) == pytest.approx(float(slowness(moving)), rel=1e-4)
+
+
+def test_a_head_that_is_to_be_slow_turns_away_from_what_always_moves():
+    rng = np.random.default_rng(0)
+    names = [f"v{i}" for i in range(30)]
+    good = dict(zip(names, np.sort(rng.uniform(0, 1, 30))[::-1], strict=True))
+    # what is judged rests from the third frame on; what moves is as good a sign of it at the end
+    videos = {
+        name: np.stack(
+            [np.r_[0.0, 0.0, np.full(22, value)], value * np.linspace(0, 2, 24)], axis=1
+        ).astype(np.float32)
+        for name, value in good.items()
+    }
+    drawn = [np.sort(rng.choice(30, 3, replace=False)) for _ in range(60)]
+    lesson = Lesson([Triplet(*(names[i] for i in three)) for three in drawn], names[:3])
+    plain = replace(SMALL, has_projection=False, components=None, slow_weight=0.0)
+    shares = []
+    for preset in (plain, replace(plain, slow_weight=4.0)):
+        head = fit_rapl(videos, lesson, preset, np.random.default_rng(1)).embedder.head
+        resting, moving = head.weight.detach().norm(dim=0)
+        shares.append(float(moving / (moving + resting)))
+    assert shares[1] < 0.8 * shares[0]
