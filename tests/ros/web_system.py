@@ -10,6 +10,7 @@ from typing import Any
 import httpx
 import numpy as np
 from numpy.typing import NDArray
+from own_domain import enter_own_domain
 from ros_harness import NodeProcess
 
 from rapl_core.episodes import EpisodeStore
@@ -103,6 +104,8 @@ def web_system(folder: Path, **parameters: Any) -> Iterator[WebSystem]:
     shared = {k.removeprefix("preference_"): v for k, v in parameters.items() if "preference_" in k}
     own = {"port": 0} | {k: v for k, v in parameters.items() if "preference_" not in k}
     nodes = []
+    outer = os.environ["ROS_DOMAIN_ID"]
+    enter_own_domain()
     try:
         for module, values in (("preference_node", shared), ("web_node", own)):
             log = folder / f"{module}.log"
@@ -113,6 +116,4 @@ def web_system(folder: Path, **parameters: Any) -> Iterator[WebSystem]:
     finally:
         for node in reversed(nodes):
             node.stop()
-
-
-os.environ.setdefault("PYTHONUNBUFFERED", "1")
+        os.environ["ROS_DOMAIN_ID"] = outer

@@ -207,7 +207,12 @@ class WebApp:
     async def _on_http_error(self, request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         status = HTTPStatus(error.status_code)
-        refused = RefusedError(status, status.phrase.lower().replace(" ", "_"), str(error.detail))
+        if status is HTTPStatus.BAD_REQUEST:  # a body that is no text at all: as any wrong one
+            status = HTTPStatus.UNPROCESSABLE_ENTITY
+            code = "bad_request"
+        else:
+            code = status.phrase.lower().replace(" ", "_")
+        refused = RefusedError(status, code, str(error.detail))
         self._tell(request, refused)
         response = refused.response()
         response.headers.update(error.headers or {})

@@ -1,0 +1,177 @@
+"""Parts of the page that need neither browser nor graph: sheets, hosts, ports, the live board."""
+
+import io
+import math
+import socket
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from web_system import make_frames, make_videos
+
+from rapl_core.episodes import EpisodeStore
+from rapl_core.errors import UnknownNameError
+from rapl_ros.progress import StageProgress
+from rapl_ros.web.guard import HostRule
+from rapl_ros.web.live import LiveBoard, RewardView
+from rapl_ros.web.server import AddressError, address_of, listen, token_of
+from rapl_ros.web.sprites import LONGEST_SIDE, SheetCache, SheetLayout, layout_of, make_sheet
+from rapl_ros.wire import LearnerMetrics
+
+ROOT = Path(__file__).parents[2]
+
+
+def cut(sheet: bytes, layout: SheetLayout) -> np.ndarray:
+    """The frames in a sheet, as the page cuts them: (F, H, W, 3)."""
+    with Image.open(io.BytesIO(sheet)) as picture:
+        pixels = np.asarray(picture.convert("RGB"))
+    assert max(pixels.shape[:2]) <= LONGEST_SIDE
+    frames = []
+    for number in range(layout.frames):
+        y, x = (number // layout.columns) * layout.height, (number % layout.columns) * layout.width
+        frames.append(pixels[y : y + layout.height, x : x + layout.width])
+    return np.stack(frames)
+
+
+def test_a_sheet_has_every_pixel_of_every_frame_and_the_time_between_them(tmp_path: Path) -> None:
+    (episode_id,) = make_videos(tmp_path, 1, frames=31)
+    store = EpisodeStore(tmp_path / "episodes")
+    cache = SheetCache(store)
+    layout = cache.layout(episode_id)
+    assert (layout.frames, layout.stride) == (31, 1)
+    assert layout.period_s == pytest.approx(0.08)
+    assert np.array_equal(cut(cache.sheet(episode_id), layout), store.frames(episode_id))
+    assert cache.sheet(episode_id) is cache.sheet(episode_id), "made once"
+    with pytest.raises(UnknownNameError):
+        cache.sheet("elsewhere")
+
+
+@settings(max_examples=60, deadline=None)
+@given(steps=st.integers(0, 20_000), width=st.integers(1, 5000), height=st.integers(1, 5000))
+def test_any_video_fits_into_a_sheet_that_every_device_takes(
+    tmp_path_factory: pytest.TempPathFactory, steps: int, width: int, height: int
+) -> None:
+    summary = type("Summary", (), {
+        "steps": steps, "image_width": width, "image_height": height, "first_stamp_ns": 0,
+        "last_stamp_ns": steps * 40_000_000,
+    })  # fmt: skip
+    layout = layout_of(summary)
+    assert layout.columns * layout.width <= LONGEST_SIDE
+    assert layout.rows * layout.height <= LONGEST_SIDE
+    assert layout.frames * layout.stride >= steps + 1 > (layout.frames - 1) * layout.stride
+    if steps:
+        assert layout.period_s == pytest.approx(0.04 * layout.stride)
+
+
+def test_large_frames_shrink_and_keep_their_shape() -> None:
+    frames = np.stack([np.asarray(Image.fromarray(f).resize((640, 480)))
+                       for f in make_frames(3, 60, 112)])  # fmt: skip
+    layout = SheetLayout(60, 1, 8, 320, 240, 0.1)
+    shown = cut(make_sheet(frames, layout), layout)
+    assert shown.shape == (60, 240, 320, 3)
+    assert abs(shown.astype(int).mean() - frames.astype(int).mean()) < 3
+
+
+@pytest.mark.parametrize(
+    ("host", "name", "allowed"),
+    [
+        ("127.0.0.1", "127.0.0.1:8765", True),
+        ("127.0.0.1", "localhost", True),
+        ("127.0.0.1", "LOCALHOST:9000", True),
+        ("127.0.0.1", "[::1]:8765", True),
+        ("127.0.0.1", "10.0.0.5:8765", False),
+        ("127.0.0.1", "localhost.evil.example", False),
+        ("127.0.0.1", "127.0.0.1.nip.io", False),
+        ("127.0.0.1", "evil@127.0.0.1", False),
+        ("127.0.0.1", "127.0.0.1:8765 ", False),
+        ("127.0.0.1", "", False),
+        ("0.0.0.0", "10.0.0.5:8765", True),
+        ("0.0.0.0", socket.gethostname(), True),
+        ("0.0.0.0", "evil.example", False),
+        ("0.0.0.0", "proxy.example", True),
+    ],
+)
+def test_only_names_that_cannot_be_an_attackers_are_answered(
+    host: str, name: str, allowed: bool
+) -> None:
+    assert HostRule(host, ["proxy.example"] if "." in name else []).allows(name) is allowed
+
+
+def test_a_port_that_is_taken_is_passed_over_and_a_foreign_address_is_named() -> None:
+    with listen("127.0.0.1", 0) as first:
+        port = first.getsockname()[1]
+        with listen("127.0.0.1", port) as second:
+            assert port < second.getsockname()[1] <= port + 20
+            assert address_of(second) == f"http://127.0.0.1:{second.getsockname()[1]}/"
+    with pytest.raises(AddressError, match=r"203\.0\.113\.1"):
+        listen("203.0.113.1", 0)
+    with pytest.raises(AddressError, match="nowhere.invalid"):
+        listen("nowhere.invalid", 0)
+
+
+def test_the_token_is_made_once_and_for_its_owner_alone(tmp_path: Path) -> None:
+    token = token_of(tmp_path)
+    assert len(token) >= 43 and token_of(tmp_path) == token
+    assert (tmp_path / "web_token").stat().st_mode & 0o077 == 0
+    (tmp_path / "web_token").write_text("")
+    assert len(token_of(tmp_path)) >= 43 and token_of(tmp_path) != token
+
+
+def metrics(steps: int) -> LearnerMetrics:
+    nan = math.nan
+    return LearnerMetrics(steps, 1, 2, 0, 0, 30.0, -1.0, nan, nan, nan, nan, nan)
+
+
+def test_the_board_keeps_the_newest_and_knows_no_nan(tmp_path: Path) -> None:
+    board = LiveBoard(tmp_path, "franka_group", ["learner", "web"])
+    for steps in range(0, 5000, 5):
+        board.add_metrics(metrics(steps))
+    for number in range(100):
+        reward = RewardView(episode_id=f"e{number}", purpose="train", valid=True, reason="",
+                            total=float(number), version="v")  # fmt: skip
+        board.add_reward(reward)
+    board.add_reward(reward.model_copy(update={"total": 7.0}))
+    board.add_progress(StageProgress("rank", 2, 6, "running", 3, 9, "rankings", 0.1, math.nan))
+    (tmp_path / "encoders" / "rapl-0123").mkdir(parents=True)
+    (tmp_path / "encoders" / "rapl-0123" / "card.json").write_text("{}")
+    (tmp_path / "policies").mkdir()
+    (tmp_path / "policies" / "curve.json").write_text(
+        '{"points": [{"steps": 10, "success_rate": NaN, "reward_mean": -2.0}]}'
+    )
+    view = board.view()
+    assert len(view.metrics) <= 400 and view.metrics[-1].steps == 4995
+    assert [point.steps for point in view.metrics] == sorted(p.steps for p in view.metrics)
+    assert view.metrics[-1].success_rate is None and view.stages[0].remaining_s is None
+    assert [view.rewards[0].total, view.rewards[-1].total] == [40.0, 7.0]
+    assert view.evaluations[0].success_rate is None and view.evaluations[0].reward_mean == -2.0
+    assert view.encoders == ["rapl-0123", "imagenet"]
+    assert "NaN" not in view.model_dump_json()
+    board.add_metrics(metrics(5))
+    assert [point.steps for point in board.view().metrics] == [5], "another training"
+
+
+def test_the_page_loads_no_torch() -> None:
+    program = "import sys, rapl_ros.web_node; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program]).returncode == 0
+
+
+def test_an_installed_package_has_the_front_end(tmp_path: Path) -> None:
+    source = ROOT / "rapl_ros"
+    copied = tmp_path / "rapl_ros"
+    subprocess.run(["cp", "-r", str(source), str(copied)], check=True)
+    build = [sys.executable, "setup.py", "-q", "bdist_wheel", "--dist-dir", str(tmp_path / "dist")]
+    done = subprocess.run(build, cwd=copied, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    static = source / "rapl_ros" / "web" / "static"
+    wanted = {
+        f"rapl_ros/web/static/{p.relative_to(static)}" for p in static.rglob("*") if p.is_file()
+    }
+    assert len(wanted) > 12
+    assert wanted <= set(zipfile.ZipFile(wheel).namelist())
