@@ -4,12 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rapl_core.demonstrators.behaviour import Actor, Behaviour
+from rapl_core.demonstrators.clutter import clutter_behaviours
 from rapl_core.demonstrators.grouping import grouping_behaviours
 from rapl_core.demonstrators.planar_avoiding import avoiding_behaviours
 from rapl_core.demonstrators.planar_grouping import planar_grouping_behaviours
 from rapl_core.demonstrators.planar_sweeping import sweeping_behaviours
 from rapl_core.errors import UnknownNameError
 from rapl_core.tasks.base import Task
+from rapl_core.tasks.clutter import TabletopClutter
 from rapl_core.tasks.registry import task_names
 from rapl_core.tasks.tabletop import TabletopGroup
 from rapl_core.tasks.xmagical import AvoidTask, GroupTask
@@ -70,6 +72,8 @@ def behaviours_of(task: Task) -> dict[str, Behaviour]:
         behaviours = planar_grouping_behaviours(task)
     elif isinstance(task, SweepTask):
         behaviours = sweeping_behaviours(task)
+    elif isinstance(task, TabletopClutter):
+        behaviours = clutter_behaviours(task)
     else:
         known = [name for name in task_names() if name != task.name]
         raise UnknownNameError("scripted task", task.name, known)

@@ -4,6 +4,7 @@ from functools import cache
 
 from rapl_core.errors import UnknownNameError
 from rapl_core.tasks.base import Task
+from rapl_core.tasks.clutter import TabletopClutter
 from rapl_core.tasks.tabletop import KUKA_GROUP, TabletopGroup
 from rapl_core.tasks.xmagical_catalogue import xmagical_tasks
 
@@ -19,6 +20,9 @@ def _tasks() -> dict[str, Task]:
             human_reward_scale=4.57,
         ),
         *xmagical_tasks(),
+        TabletopClutter(
+            "franka_clutter", "Franka Panda brings two prisms among cubes to the goal, together"
+        ),
     ]
     return {task.name: task for task in tasks}
 

