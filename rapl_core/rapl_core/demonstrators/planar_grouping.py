@@ -37,7 +37,7 @@ def nearer(state: State, task: PlanarTask) -> int:
 def together_side_by_side(mover: Mover, state: State) -> list[Skill]:
     """Push one block beside the other, then both up at once."""
     first = int(mover.rng.integers(2))
-    return [mover.bring_beside(first, 1 - first), Back(), mover.push_all_up(BOTH)]
+    return [mover.bring_beside(first, 1 - first), Back(mover.retreat), mover.push_all_up(BOTH)]
 
 
 def together_in_column(mover: Mover, state: State) -> list[Skill]:
@@ -47,8 +47,8 @@ def together_in_column(mover: Mover, state: State) -> list[Skill]:
     skills: list[Skill] = []
     apart = 2 * mover.half + 0.03
     if abs(heights[0] - heights[1]) < apart:  # make room below first
-        skills = [mover.push_up(1 - low, float(heights[low] + apart + 0.04)), Back()]
-    return [*skills, mover.bring_below(low, 1 - low), Back(), mover.push_up(low)]
+        skills = [mover.push_up(1 - low, float(heights[low] + apart + 0.04)), Back(mover.retreat)]
+    return [*skills, mover.bring_below(low, 1 - low), Back(mover.retreat), mover.push_up(low)]
 
 
 def together_halfway(mover: Mover, state: State) -> list[Skill]:
@@ -62,18 +62,18 @@ def bring_together(mover: Mover, state: State) -> list[Skill]:
     """Bring the blocks together, leave them and drive away."""
     first = int(mover.rng.integers(2))
     away = mover.rng.uniform(-0.7, [0.7, -0.5])
-    return [mover.bring_beside(first, 1 - first), Back(), mover.drive_to(*away)]
+    return [mover.bring_beside(first, 1 - first), Back(mover.retreat), mover.drive_to(*away)]
 
 
 def one_at_a_time(mover: Mover, state: State) -> list[Skill]:
     """Bring one block to the strip, then fetch the other."""
     first = nearer(state, mover.task)
-    return [mover.push_up(first), Back(), mover.push_up(1 - first)]
+    return [mover.push_up(first), Back(mover.retreat), mover.push_up(1 - first)]
 
 
 def only_one(mover: Mover, state: State) -> list[Skill]:
     """Bring one block to the strip and leave the other."""
-    return [mover.push_up(int(mover.rng.integers(2))), Back()]
+    return [mover.push_up(int(mover.rng.integers(2))), Back(mover.retreat)]
 
 
 def scatter(mover: Mover, state: State) -> list[Skill]:
@@ -83,7 +83,9 @@ def scatter(mover: Mover, state: State) -> list[Skill]:
     outwards = float(np.sign(places[block][0] - places[1 - block][0])) or 1.0
     aim = places[block] + [outwards * mover.rng.uniform(0.2, 0.6), mover.rng.uniform(-0.3, 0.3)]
     aim = np.clip(aim, -0.9, 0.9)
-    rest: list[Skill] = [Back(), mover.push_up(1 - block)] if mover.rng.random() < 0.5 else []
+    rest: list[Skill] = (
+        [Back(mover.retreat), mover.push_up(1 - block)] if mover.rng.random() < 0.5 else []
+    )
     return [mover.push(block, lambda view: aim, patience=40), *rest]
 
 

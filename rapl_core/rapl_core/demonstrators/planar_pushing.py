@@ -33,11 +33,13 @@ class Mover:
         self.pace = float(rng.uniform(0.55, 0.8))
         body = task.body
         self._reach = 0.39 if body.has_fingers else body.front
-        self._gap = 0.08 if body.width < 0.5 else 0.22
+        self._gap = 0.08 if body.width < 0.5 else 0.3
         self._hold = 0.06 if body.has_fingers else 0.42 * min(body.width, 0.6)
         # past a long stick's ends there is no room: it drives with its side along
         across = max(body.width, 2 * self._reach) / 2
         self._clearance = self.half * 1.41 + min(across, 0.32) + ROOM
+        self.retreat = 3 if body.width < 0.5 else 5
+        """Steps backwards after a push: room to turn."""
         self.goal_y = task.config.goal_near + self.half + float(rng.uniform(0.02, 0.07))
         """m where a block is pushed to."""
         self.grip = bool(rng.random() < 0.5)

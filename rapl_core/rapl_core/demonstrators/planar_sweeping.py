@@ -62,5 +62,6 @@ def sweep_halfway(mover: Mover, state: State) -> list[Skill]:
 
 
 def push_in_order(mover: Mover, order: list[int]) -> list[Skill]:
-    """Push pieces up one after the other."""
-    return [skill for piece in order for skill in (mover.push_up(int(piece)), Back())]
+    """Push pieces up one after the other, without dawdling: three take all the time there is."""
+    mover.pace = mover.task.config.speed_limit
+    return [skill for piece in order for skill in (mover.push_up(int(piece)), Back(mover.retreat))]

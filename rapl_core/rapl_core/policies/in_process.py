@@ -56,6 +56,7 @@ def train_in_process(
     on_event: Callable[[LearningEvent], None] | None = None,
     score_evaluations: bool = False,
     background: bool = False,
+    stop: Callable[[LearningCurve], bool] | None = None,
 ) -> LearningCurve:
     """Train a policy and return what its evaluations found.
 
@@ -64,13 +65,14 @@ def train_in_process(
     :param on_event: called after each round of episodes.
     :param score_evaluations: give evaluation episodes their reward too (costs their pictures).
     :param background: take gradient steps while the worlds go on; the result is the same.
+    :param stop: asked after each round whether to end before the last step, e.g. at a plateau.
     :raises CorruptFileError: if the checkpoint is damaged, or of another config, seed or reward.
     """
     run = _Run(task_name, reward, sac, schedule, seed, folder, score_evaluations, background)
     try:
         if resume:
             run.resume()
-        while not run.learning.schedule.finished:
+        while not (run.learning.schedule.finished or (stop is not None and stop(run.curve))):
             event = run.round()
             if on_event is not None:
                 on_event(event)

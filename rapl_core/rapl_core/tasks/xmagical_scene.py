@@ -58,9 +58,9 @@ class PlanarConfig:
     turn_rate: float = 2.5
     """rad/s at most."""
     full_turn: float = 1.0
-    """Action that turns at the full rate, in proportion below it. The public package's is 1/32:
+    """Action that turns at the full rate, in proportion below it. The public package's is 1/16:
     there all but the smallest action turns at the full rate. Departs from it so that people-like
-    noise and a policy's exploration do not throw the robot about; the sweep tasks keep 1/32."""
+    noise and a policy's exploration do not throw the robot about; the sweep tasks keep 1/16."""
     drive_force: float = 5.0
     turn_torque: float = 1.0
     block_side: float = float(np.sqrt(np.pi)) * 0.6 * RADIUS

@@ -11,7 +11,7 @@ from rapl_core.tasks.xmagical_dynamics import PlanarScene
 from rapl_core.tasks.xmagical_scene import PlanarConfig
 
 SWEEP = PlanarConfig(
-    blocks=((-0.5, 0.0), (0.0, 0.0), (0.5, 0.0)), block_colors=("red",) * 3, full_turn=1 / 32,
+    blocks=((-0.5, 0.0), (0.0, 0.0), (0.5, 0.0)), block_colors=("red",) * 3, full_turn=1 / 16,
 )  # fmt: skip
 DIAGONAL = float(np.sqrt(8))
 """By which the public package divides distances."""

@@ -38,6 +38,7 @@ def play(name, behaviour, episodes):
         ("xmagical_avoid_gripper", "around_near"),
         ("xmagical_group", "together_side_by_side"),
         ("xmagical_group", "together_in_column"),
+        ("xmagical_group_mediumstick", "together_side_by_side"),
         ("xmagical_progress", "one_at_a_time"),
         ("xmagical_sweep_shortstick", "sweep_all"),
         ("xmagical_sweep_longstick", "sweep_all"),
