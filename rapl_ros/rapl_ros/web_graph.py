@@ -131,6 +131,8 @@ class WebGraph:
         """Begin to put an encoder to work; see the port."""
         if self._board.swap.state == "running":
             raise conflict("busy", "An encoder is being loaded already.")
+        if not await self._ask(self._encoder_is_there):
+            raise unavailable("no_encoder", "The encoder node is not running.")
         self._board.swap = JobView(state="running", message=f"{encoder} is being loaded")
         self._spawn(lambda: self._set(encoder))
         return f"{encoder} is asked for"
@@ -231,6 +233,9 @@ class WebGraph:
         name = result.uri.rpartition("/")[2]
         words = f"{name}: {result.held_out_accuracy:.0%} of held-out triplets ordered right."
         self._board.align = JobView(state="done", message=f"{words} Swap to put it to work.")
+
+    async def _encoder_is_there(self) -> bool:
+        return bool(self._set_encoder.service_is_ready())
 
     async def _set(self, encoder: str) -> None:
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=encoder)

@@ -135,6 +135,19 @@ def test_the_live_page_says_how_the_nodes_are(client: httpx.Client) -> None:
     refused(client.get("api/camera.jpg"), 404, "no_picture")
 
 
+def test_buttons_begin_one_thing_at_a_time_and_say_what_became_of_it(
+    client: httpx.Client,
+) -> None:
+    refused(client.post("api/encoder", json={"encoder": "imagenet"}), 503, "no_encoder")
+    assert client.post("api/align", json={}).status_code == 202
+    refused(client.post("api/align", json={}), 409, "busy")
+    end = time.monotonic() + 150.0
+    while (job := client.get("api/live").json()["align"])["state"] == "running":
+        assert time.monotonic() < end, job
+        time.sleep(0.3)
+    assert job["state"] in ("failed", "done") and len(job["message"]) > 10, job
+
+
 # What an attacker does
 
 

@@ -18,7 +18,7 @@ from rapl_core.preferences import RankingStore
 from rapl_core.types import Episode
 from rapl_ros.run_config import WEB_ADDRESS_FILE
 
-START_S = 60.0
+START_S = 120.0
 PERIOD_NS = 80_000_000
 
 
