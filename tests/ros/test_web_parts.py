@@ -137,6 +137,7 @@ def test_the_board_keeps_the_newest_and_knows_no_nan(tmp_path: Path) -> None:
                             total=float(number), version="v")  # fmt: skip
         board.add_reward(reward)
     board.add_reward(reward.model_copy(update={"total": 7.0}))
+    board.add_reward(reward.model_copy(update={"episode_id": "d", "purpose": "demonstrate"}))
     board.add_progress(StageProgress("rank", 2, 6, "running", 3, 9, "rankings", 0.1, math.nan))
     (tmp_path / "encoders" / "rapl-0123").mkdir(parents=True)
     (tmp_path / "encoders" / "rapl-0123" / "card.json").write_text("{}")

@@ -18,6 +18,7 @@ from rapl_ros.wire import LearnerMetrics
 REWARDS_KEPT = 60
 METRICS_KEPT = 400
 CURVE_PERIOD_S = 2.0
+LEARNERS_PURPOSES = ("train", "evaluate")
 
 Health = Literal["ok", "warning", "error", "gone", "absent"]
 
@@ -159,7 +160,13 @@ class LiveBoard:
                 del self._metrics[1:-1:2]
 
     def add_reward(self, reward: RewardView) -> None:
-        """An episode has its reward; a later one for the same episode replaces it."""
+        """An episode has its reward; a later one for the same episode replaces it.
+
+        Demonstrations are passed over: nothing learns from their reward, and before there is an
+        encoder they have none.
+        """
+        if reward.purpose not in LEARNERS_PURPOSES:
+            return
         with self._lock:
             for index, held in enumerate(self._rewards):
                 if held.episode_id == reward.episode_id:

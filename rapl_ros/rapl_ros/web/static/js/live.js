@@ -105,10 +105,10 @@ function showNodes({ nodes }) {
 
 function showPeople({ standing, videos, agreement, agreement_pairs: pairs, annotators }) {
   const { given, wanted, needed } = standing;
-  const words = [wanted ? `${given} of ${wanted} given` : `${given} given`];
+  const words = [needed ? `${given} of ${wanted} given` : `${given} given`];
   if (needed) words.push(`${needed} needed`);
   words.push(`${videos} videos`);
-  if (agreement !== null) words.push(`${percent(agreement)} agreement on ${pairs} pairs`);
+  if (agreement !== null) words.push(`${percent(agreement)} agreement (pairs seen by two: ${pairs})`);
   byId("people-note").textContent = words.join(" · ");
   const share = (value, of) => {
     if (value === null) return make("td", "", "–");

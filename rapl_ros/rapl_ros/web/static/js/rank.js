@@ -270,8 +270,8 @@ async function undo() {
 
 function showStanding({ given, wanted, needed }) {
   byId("standing").hidden = false;
-  byId("standing-count").textContent = wanted ? `${given} of ${wanted}` : `${given} ranked`;
-  byId("standing-more").textContent = wanted ? (needed ? `· ${needed} still needed` : "· enough, more help") : "";
+  byId("standing-count").textContent = needed ? `${given} of ${wanted}` : `${given} ranked`;
+  byId("standing-more").textContent = needed ? `· ${needed} still needed` : wanted ? "· enough; more make it better" : "";
   byId("standing-bar").hidden = !wanted;
   if (wanted) byId("standing-bar").value = Math.min(1, given / wanted);
 }
