@@ -5,6 +5,8 @@ SHELL := /bin/bash
 
 IN_ENVIRONMENT := . setup/environment.sh &&
 PYTEST := python -m pytest -m "not slow and not browser"
+# Two processes, each with whole files, for their graphs are shared by a file's tests.
+PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup test test-core test-all lint format bench
 
@@ -22,10 +24,10 @@ lint: setup  ## linter, formatter and type checker
 # Graphs of real processes with deadlines: on a loaded machine discovery can miss one. What failed
 # is run once more by itself and counts then; both summaries are printed.
 test: lint  ## what CI runs: lint and all tests but the slow ones and those with a browser
-	@$(IN_ENVIRONMENT) $(PYTEST) || { echo "once more, what failed:"; $(PYTEST) --last-failed; }
+	@$(IN_ENVIRONMENT) $(PYTEST) $(PARALLEL) || { echo "once more, what failed:"; $(PYTEST) --last-failed; }
 
 test-core: setup  ## the tests of rapl_core, with every import of ROS blocked
-	@$(IN_ENVIRONMENT) RAPL_TEST_WITHOUT_ROS=1 $(PYTEST) tests/core
+	@$(IN_ENVIRONMENT) RAPL_TEST_WITHOUT_ROS=1 $(PYTEST) $(PARALLEL) tests/core
 
 test-all: lint  ## every test; needs half an hour and, for the web page, a browser
 	@$(IN_ENVIRONMENT) python -m pytest

@@ -15,7 +15,7 @@ RESTART_LIMIT = 3
 """Restarts of one node before the run is given up; see RESTART_MEMORY_S."""
 RESTART_MEMORY_S = 600.0
 """A restart longer ago than this is forgotten."""
-STOP_PLAN = ((signal.SIGINT, 2.5), (signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0))
+STOP_PLAN = ((signal.SIGINT, 2.2), (signal.SIGTERM, 0.8), (signal.SIGKILL, 1.0))
 """What a process is sent to end it, and for how many seconds it may then take."""
 
 

@@ -6,6 +6,8 @@ import pytest
 from graph_run import RUN_DEADLINE_S, TINY, WORLDS, FinishedRun, GraphProbe, GraphRun
 from ros_harness import ros
 
+from rapl_ros import topics
+
 
 @pytest.fixture(scope="module")
 def rclpy_up() -> Iterator[None]:
@@ -15,7 +17,7 @@ def rclpy_up() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def finished(rclpy_up: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[FinishedRun]:
-    """Run, press Ctrl-C while it learns, resume, wait for the last stage."""
+    """Run, press Ctrl-C while it learns, resume, kill the simulator, wait for the last stage."""
     folder = tmp_path_factory.mktemp("system") / "run"
     probe = GraphProbe(WORLDS)
     run = GraphRun([*TINY, "--out", str(folder)], folder.parent / "first.txt")
@@ -26,10 +28,21 @@ def finished(rclpy_up: None, tmp_path_factory: pytest.TempPathFactory) -> Iterat
         first = run
         run = GraphRun(["--resume", str(folder), "--keep-running"], folder.parent / "second.txt")
         probe.progress.clear()
+        probe.until_stage("train", 240, run, RUN_DEADLINE_S)
+        run.kill_node(topics.SIMULATOR)
+        missed_s = probe.until_missed(topics.SIMULATOR)
         probe.until_stage("report", 1, run, RUN_DEADLINE_S)
         probe.until(lambda: "All stages are done" in run.text(), 60.0, "the report is written")
         yield FinishedRun(
-            folder, probe, run, first.text(), stop_s, left, first.process.returncode, seen_before
+            folder=folder,
+            probe=probe,
+            run=run,
+            first_text=first.text(),
+            stop_s=stop_s,
+            left=left,
+            stop_code=first.process.returncode,
+            seen_before=seen_before,
+            missed_s=missed_s,
         )
     finally:
         run.close()

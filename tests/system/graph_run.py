@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs import msg as wire_msg
 from ros_harness import Probe
 from sensor_msgs.msg import Image
@@ -36,6 +37,18 @@ TINY = [
 ]
 RUN_DEADLINE_S = 400.0
 """Of one part of a run; tens of seconds where the tests have the machine to themselves."""
+MISSED_WITHIN_S = 5.0
+WATCHERS = {
+    "simulator": "learner",
+    "encoder": "ot_reward",
+    "ot_reward": "learner",
+    "recorder": "demonstrator",
+    "preference": "simulated_human",
+    "simulated_human": "conductor",
+    "demonstrator": "conductor",
+    "learner": "conductor",
+}
+"""A node that depends on another and must miss it."""
 
 
 class GraphRun:
@@ -102,11 +115,13 @@ class GraphProbe(Probe):
         self.rewards: list[wire_msg.Reward] = []
         self.pictures: deque[Image] = deque(maxlen=IMAGES_KEPT)
         self.progress: list[wire_msg.Progress] = []
-        self.beats: dict[str, wire_msg.Heartbeat] = {}
+        self.complaints: list[tuple[str, str]] = []
+        """Watcher and what it said on /diagnostics, of every condition; some stand very briefly."""
         self._hear(wire_msg.Embedding, topics.EMBEDDING, qos.stream(), self._on_embedding)
         self._hear(wire_msg.State, topics.STATE, qos.stream(), self._on_state)
         self._hear(wire_msg.Reward, topics.REWARD, qos.event(), self.rewards.append)
         self._hear(wire_msg.Progress, topics.PROGRESS, qos.event(), self.progress.append)
+        self._hear(DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics(), self._on_diagnostics)
         for world in range(worlds):
             topic = topics.world_topic(topics.CAMERA_IMAGE, world)
             self._hear(Image, topic, qos.stream(), lambda msg: self.pictures.append(msg))
@@ -119,6 +134,23 @@ class GraphProbe(Probe):
 
     def _on_state(self, msg: wire_msg.State) -> None:
         self.states.setdefault(msg.episode_id, {})[msg.step] = msg
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            watcher = status.name.rpartition("/")[2]
+            self.complaints += [(watcher, value.value) for value in status.values]
+
+    def until_missed(self, node: str) -> float:
+        """Wait until the watcher of a node that was just killed says so; returns the seconds."""
+        killed_s, watcher = time.monotonic(), WATCHERS[node]
+        self.complaints.clear()
+
+        def is_missed() -> bool:
+            said = [text for who, text in self.complaints if who == watcher]
+            return any(f"{node} is gone" in text for text in said)
+
+        self.until(is_missed, MISSED_WITHIN_S, f"{watcher} says that {node} is gone")
+        return time.monotonic() - killed_s
 
     def stage(self) -> str:
         """Stage under way, with how it stands, e.g. ``train running``."""
@@ -166,6 +198,8 @@ class FinishedRun:
     stop_code: int
     seen_before: frozenset[str]
     """Episodes that began before Ctrl-C."""
+    missed_s: float
+    """From the kill of the simulator while it learnt until the learner said that it is gone."""
 
 
 def stages_shown(text: str) -> list[str]:
