@@ -22,6 +22,7 @@ from rapl_ros import conversions, qos, topics
 from rapl_ros.background import Worker
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters
+from rapl_ros.progress import count_words
 from rapl_ros.strategist import Strategist
 
 LIST_LIMIT = 100
@@ -298,7 +299,7 @@ class PreferenceNode(RaplNode):
 
         def on_video(done: int, total: int) -> None:
             _stop_if_cancelled(goal)
-            self.heartbeat.report("active", f"reads features: {done} of {total} videos")
+            self.heartbeat.report("active", count_words("reads features", done, total, "videos"))
 
         def on_epoch(progress: Any) -> None:
             _stop_if_cancelled(goal)

@@ -1,6 +1,7 @@
 """How far a stage is, and how long it will take."""
 
 import math
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,11 +27,22 @@ class StageProgress:
     detail: str = ""
 
 
+def count_words(what: str, done: int, total: int, unit: str) -> str:
+    """Return a count as the detail of a heartbeat has it: ``reads features: 3 of 12 videos``."""
+    return f"{what}: {done} of {total} {unit}"
+
+
+def count_in(words: str) -> tuple[str, int, int, str] | None:
+    """Return what :func:`count_words` was given, or None where the words hold no count."""
+    found = re.fullmatch(r"(.*): (\d+) of (\d+) (\w+)", words)
+    return found and (found[1], int(found[2]), int(found[3]), found[4])
+
+
 class ProgressMeter:
     """Turns counts of one stage into :class:`StageProgress`: adds rate and time left.
 
-    The rate is that since the meter was made, so a resumed stage does not count what an earlier
-    process did.
+    The rate is that since the unit was first counted here, so a resumed stage does not count what
+    an earlier process did.
 
     :param clock: steady time in seconds.
     """
@@ -50,7 +62,7 @@ class ProgressMeter:
 
     def at(self, done: int, total: int, unit: str, detail: str = "") -> StageProgress:
         """Return the progress when ``done`` of ``total`` is reached."""
-        if self._first is None:
+        if self._first is None or unit != self._last.unit:
             self._first, self._began_s = done, self._clock()
         spent_s, made = self._clock() - self._began_s, done - self._first
         rate_hz = made / spent_s if made > 0 and spent_s > 0 else 0.0

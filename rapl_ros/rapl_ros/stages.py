@@ -17,6 +17,7 @@ from rapl_ros import topics
 from rapl_ros.calls import CallError, call, pause
 from rapl_ros.goals import ActionPort, ParameterPort
 from rapl_ros.node import RaplNode
+from rapl_ros.progress import count_in
 from rapl_ros.run_config import RunConfig
 
 SWAP_DEADLINE_S = 180.0
@@ -139,7 +140,7 @@ async def align(context: StageContext) -> Result:
     """Train the encoder from the rankings and put it to work."""
     run = context.run
     preference = context.node.peers[topics.PREFERENCE]
-    epochs, idle = 0, preference.detail
+    epochs = 0
 
     def show(feedback: Align.Feedback) -> None:
         nonlocal epochs
@@ -150,8 +151,10 @@ async def align(context: StageContext) -> Result:
 
     def show_reading() -> None:
         # It reads the videos' features first, and says so on its heartbeat.
-        if not epochs and preference.detail != idle:
-            context.show(0, 0, "epochs", preference.detail)
+        count = count_in(preference.detail)
+        if count and not epochs:
+            what, done, total, unit = count
+            context.show(done, total, unit, what)
 
     goal = Align.Goal(encoder=run.reward, preset=run.preset, triplets=run.triplets, seed=run.seed)
     result = await context.align.run(goal, show, on_wait=show_reading)
@@ -173,7 +176,7 @@ async def train(context: StageContext) -> Result:
         metrics = feedback.metrics
         success = metrics.success_rate
         context.show(
-            metrics.steps,
+            min(metrics.steps, wanted),  # the last round of episodes goes beyond
             wanted,
             "steps",
             f"success {success:.0%}" if math.isfinite(success) else "",

@@ -9,7 +9,7 @@ import pytest
 from rapl_ros.console import Console, clock, stage_line
 from rapl_ros.domain import DOMAINS, free_domain, graph_environment, is_free
 from rapl_ros.node_table import NODES, process_specs, ros_arguments
-from rapl_ros.progress import ProgressMeter, StageProgress
+from rapl_ros.progress import ProgressMeter, StageProgress, count_in, count_words
 from rapl_ros.run_config import RunConfig
 
 
@@ -103,3 +103,18 @@ def test_each_node_gets_its_parameters_in_the_form_that_ros_reads(tmp_path) -> N
     watched = process_specs(RunConfig("franka_group"), tmp_path, web_host="0.0.0.0")
     assert 'host:="0.0.0.0"' in next(spec for spec in watched if spec.name == "web").arguments
     assert ros_arguments({"a": True, "b": 0.5}) == ("--ros-args", "-p", "a:=true", "-p", "b:=0.5")
+
+
+def test_a_count_is_read_out_of_a_heartbeat_and_another_unit_has_its_own_rate() -> None:
+    words = count_words("reads features", 3, 12, "videos")
+    assert words == "reads features: 3 of 12 videos"
+    assert count_in(words) == ("reads features", 3, 12, "videos")
+    assert count_in("12 videos, 3 rankings") is None
+    now = [0.0]
+    meter = ProgressMeter("align", 3, 6, clock=lambda: now[0])
+    meter.at(0, 12, "videos")
+    now[0] = 2.0
+    assert meter.at(12, 12, "videos").rate_hz == 6.0
+    assert meter.at(1, 40, "epochs").rate_hz == 0.0
+    now[0] = 3.0
+    assert meter.at(5, 40, "epochs").rate_hz == 4.0
