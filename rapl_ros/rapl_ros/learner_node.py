@@ -1,7 +1,6 @@
 """The node ``learner``: SAC from topics; states in, actions out, rewards when they come."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,18 +16,17 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from rapl_core.errors import RaplError
-from rapl_core.policies import Evaluation, SacConfig, SacTrainer, ScheduleConfig
+from rapl_core.policies import SacConfig, SacTrainer, ScheduleConfig
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import wakeable_future
-from rapl_ros.calls import CallError
 from rapl_ros.learner_session import LearnerSession, fresh_or_refuse
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
-from rapl_ros.players import EpisodeTally, EvaluationPlayer
-from rapl_ros.rounds import RoundLostError, Rounds, RoundsStoppedError
+from rapl_ros.rounds import RoundLostError, RoundsStoppedError
+from rapl_ros.session_rounds import SessionRounds, Tallies
+from rapl_ros.waiting import Waiting
 from rapl_ros.wire import PolicyRecord, World
 
-FOR_REWARDS = "for rewards"
 TICK_S = 0.5
 """Between two looks at deadlines, and between two Metrics."""
 
@@ -73,12 +71,12 @@ class LearnerNode(RaplNode):
         self._session: LearnerSession | None = None
         self._world: World | None = None
         self._goal: ServerGoalHandle | None = None
-        self._change: Future | None = None
         self._savers: list[Future] = []
         self._swaps = 0
         self._metrics = self.publish_to(wire_msg.Metrics, topics.METRICS, qos.event())
         self._policies = self.publish_to(wire_msg.PolicyInfo, topics.POLICY_INFO, qos.latched())
-        self._rounds = Rounds(self)
+        self._waiting = Waiting(self, self._is_cancelled)
+        self._rounds = SessionRounds(self, self._waiting, self.config.seed)
         self.subscribe_to(wire_msg.Reward, topics.REWARD, self._on_reward, qos.event())
         self.subscribe_to(wire_msg.WorldInfo, topics.WORLD_INFO, self._on_world, qos.latched())
         # Its callback waits for the round to end; in the node's own group it would stop all others.
@@ -117,13 +115,16 @@ class LearnerNode(RaplNode):
         goal.execute()
 
     def _on_cancel(self, _: ServerGoalHandle) -> CancelResponse:
-        self._wake()
+        self._waiting.wake()
         return CancelResponse.ACCEPT
+
+    def _is_cancelled(self) -> bool:
+        return self._goal is not None and self._goal.is_cancel_requested
 
     async def _train(self, goal: ServerGoalHandle) -> Train.Result:
         result = Train.Result()
         try:
-            await self._until("for world_info", lambda: self._world is not None)
+            await self._waiting.until("for world_info", lambda: self._world is not None)
             session = self._open(goal.request.steps, goal.request.resume)
             try:
                 await self._learn(session, goal)
@@ -143,13 +144,17 @@ class LearnerNode(RaplNode):
     async def _evaluate(self, goal: ServerGoalHandle) -> Evaluate.Result:
         result = Evaluate.Result()
         try:
-            await self._until("for world_info", lambda: self._world is not None)
+            await self._waiting.until("for world_info", lambda: self._world is not None)
             session, trainer = self._policy(goal.request.policy_id)
             rounds = -(-max(1, goal.request.episodes) // session.worlds)
             # Evaluations during training have used up the numbers below.
             first = session.learning.schedule.first_evaluation_episode
-            tallies = await self._play_evaluation(
-                session, trainer, range(first, first + rounds), goal.request.seed, goal
+            tallies = await self._rounds.evaluate(
+                session,
+                trainer,
+                range(first, first + rounds),
+                goal.request.seed,
+                lambda ended: _feed_back(goal, session, ended),
             )
             found = session.summarise(tallies, goal.request.episodes)
             result.success_rate = found.success_rate
@@ -232,82 +237,23 @@ class LearnerNode(RaplNode):
     async def _learn(self, session: LearnerSession, goal: ServerGoalHandle) -> None:
         schedule = session.learning.schedule
         while not schedule.finished:
-            self._check_cancelled()
+            self._waiting.check_cancelled()
             if self._savers:
                 await self._save(session)
-            await self._ready(lambda: session.may_begin)
-            player = session.begin_round()
-            self.heartbeat.report("active", f"{schedule.steps} of {schedule.config.steps} steps")
-            try:
-                number = schedule.next_episode
-                await self._rounds.play(player, "train", number, self.config.seed)
-            except (RoundLostError, CallError) as error:
-                self._lose(session, list(player.tallies), error)
+            if not await self._rounds.train(session):
                 continue
-            session.end_round(player)
             if schedule.evaluation_due:
-                await self._evaluate_now(session)
+                await self._rounds.evaluate_as_scheduled(session)
             metrics = self._metrics_now(session)
             self._metrics.publish(metrics)
             goal.publish_feedback(Train.Feedback(metrics=metrics))
             if schedule.checkpoint_due:
                 await self._save(session)
 
-    async def _evaluate_now(self, session: LearnerSession) -> None:
-        schedule = session.learning.schedule
-        session.learning.settle()
-        first = schedule.first_evaluation_episode
-        tallies = await self._play_evaluation(
-            session,
-            session.learning.trainer,
-            range(first, first + schedule.evaluation_rounds),
-            self.config.seed,
-        )
-        found = session.summarise(tallies, schedule.config.evaluate_episodes)
-        session.evaluated(found)
-        self.get_logger().info(_told(schedule.steps, found))
-
-    async def _play_evaluation(
-        self,
-        session: LearnerSession,
-        trainer: SacTrainer,
-        numbers: range,
-        seed: int,
-        goal: ServerGoalHandle | None = None,
-    ) -> list[tuple[int, EpisodeTally]]:
-        """Play these episodes in every world without exploring and wait for their rewards."""
-        tallies: list[tuple[int, EpisodeTally]] = []
-        waiting = list(numbers)
-        while waiting:
-            self._check_cancelled()
-            await self._ready(lambda: session.keeps_up)
-            player = EvaluationPlayer(session.task, trainer, f"sac-{session.policy_id}")
-            self.heartbeat.report("active", f"evaluation, {len(waiting)} rounds left")
-            try:
-                await self._rounds.play(player, "evaluate", waiting[0], seed)
-            except (RoundLostError, CallError) as error:
-                self._lose(session, list(player.tallies), error)
-                continue
-            ended = list(player.tallies.values())
-            session.expect_rewards(ended)
-            number = waiting.pop(0)
-            tallies += [(number, tally) for tally in ended]
-            if goal is not None:
-                rate = session.summarise(tallies, len(tallies)).success_rate
-                goal.publish_feedback(Evaluate.Feedback(done=len(tallies), success_rate=rate))
-        await self._until(FOR_REWARDS, lambda: session.unrewarded == 0)
-        return tallies
-
-    def _lose(self, session: LearnerSession, episode_ids: list[str], error: RaplError) -> None:
-        """The round is played again: the same starts, other actions."""
-        self.diagnostics.count("lost_rounds")
-        self.get_logger().warning(f"round lost, it is played again: {error}")
-        session.lose_round(episode_ids, str(error))
-
     async def _save(self, session: LearnerSession) -> None:
         """Write a checkpoint when the rewards of all that has ended are in it."""
-        while session.unrewarded > 0 and not self._lack():
-            await self._next_change()
+        while session.unrewarded > 0 and not self._waiting.lack():
+            await self._waiting.next_change()
         path = session.save()
         points = session.curve.points
         record = PolicyRecord(
@@ -334,52 +280,7 @@ class LearnerNode(RaplNode):
         for saver in savers:
             saver.set_result((success, message))
 
-    # Waiting
-
-    async def _ready(self, may_begin: Callable[[], bool]) -> None:
-        """Wait until a round may begin."""
-        while True:
-            lack = self._lack()
-            if lack:
-                await self._until(lack, lambda: not self._lack())
-            elif may_begin():
-                return
-            else:
-                await self._until(FOR_REWARDS, lambda: may_begin() or bool(self._lack()))
-
-    def _lack(self) -> str:
-        """What is missing to go on, or an empty string."""
-        missing = self.missing_peers()
-        if missing:
-            return f"for {', '.join(missing)}"
-        ot_reward = self.peers[topics.OT_REWARD]
-        if ot_reward.status != "active":
-            return f"for ot_reward, which waits {ot_reward.detail}"
-        return ""
-
-    async def _until(self, what: str, condition: Callable[[], bool]) -> None:
-        """Wait for ``condition``; looked at whenever something has arrived, and on every tick.
-
-        :raises RoundsStoppedError: if the goal is cancelled meanwhile.
-        """
-        while not condition():
-            self._check_cancelled()
-            lack = self._lack()
-            if lack or what != FOR_REWARDS:  # rewards are waited for all the time, and briefly
-                self.heartbeat.report("waiting", lack or what)
-            await self._next_change()
-
-    async def _next_change(self) -> None:
-        self._change = wakeable_future(self)
-        await self._change
-
-    def _check_cancelled(self) -> None:
-        if self._goal is not None and self._goal.is_cancel_requested:
-            raise RoundsStoppedError("cancelled")
-
-    def _wake(self) -> None:
-        if self._change is not None and not self._change.done():
-            self._change.set_result(None)
+    # What arrives
 
     def _tick(self) -> None:
         session = self._session
@@ -392,13 +293,11 @@ class LearnerNode(RaplNode):
                 self.diagnostics.warn("rewards", f"no reward came for {late[0]} in time")
             if self._goal is not None:
                 self._metrics.publish(self._metrics_now(session))
-        self._wake()
-
-    # What arrives
+        self._waiting.wake()
 
     def _on_world(self, msg: wire_msg.WorldInfo) -> None:
         self._world = conversions.world_from_ros(msg)
-        self._wake()
+        self._waiting.wake()
 
     def _on_reward(self, msg: wire_msg.Reward) -> None:
         session = self._session
@@ -417,13 +316,13 @@ class LearnerNode(RaplNode):
             self._swaps = session.swaps
             source = session.learning.reward_source
             self.get_logger().warning(f"rewards now come from {source}: replay buffer emptied")
-        self._wake()
+        self._waiting.wake()
 
     def peer_found(self, peer: str, restarted: bool) -> None:
         """A simulator that has restarted knows nothing of the round under way."""
         if peer == topics.SIMULATOR and restarted:
             self._rounds.abandon(RoundLostError("the simulator has restarted"))
-        self._wake()
+        self._waiting.wake()
 
     def _metrics_now(self, session: LearnerSession) -> wire_msg.Metrics:
         return conversions.metrics_to_ros(session.metrics(), self._now_ns)
@@ -433,11 +332,9 @@ class LearnerNode(RaplNode):
         return int(self.get_clock().now().nanoseconds)
 
 
-def _told(steps: int, found: Evaluation) -> str:
-    return (
-        f"after {steps} steps: success {found.success_rate:.0%} over {found.episodes} episodes, "
-        f"return of r* {found.human_return_mean:.2f}"
-    )
+def _feed_back(goal: ServerGoalHandle, session: LearnerSession, tallies: Tallies) -> None:
+    rate = session.summarise(tallies, len(tallies)).success_rate
+    goal.publish_feedback(Evaluate.Feedback(done=len(tallies), success_rate=rate))
 
 
 if __name__ == "__main__":
