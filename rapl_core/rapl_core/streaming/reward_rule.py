@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rapl_core.errors import ShapeError, UnknownNameError
 from rapl_core.transport.config import TransportConfig
-from rapl_core.transport.numpy_reward import ot_reward
+from rapl_core.transport.reward import ot_reward
 from rapl_core.types import EmbeddedEpisode, RewardTrace
 
 RewardKind = Literal["ot", "scalar"]

@@ -1,7 +1,7 @@
 """Optimal transport between videos: costs, solvers, distance and reward.
 
-Names are imported at first use: whoever only needs the config or the reward in numpy
-(``numpy_reward``) does not load torch, which takes 250 MiB and seconds.
+Names are imported at first use: whoever only needs the config or the reward does not load torch,
+which takes 250 MiB and seconds.
 """
 
 from importlib import import_module
@@ -12,12 +12,11 @@ if TYPE_CHECKING:
     from rapl_core.transport.costs import pairwise_cost
     from rapl_core.transport.distance import ot_distance
     from rapl_core.transport.reward import ot_reward
-    from rapl_core.transport.solvers import marginal_error, solve
+    from rapl_core.transport.solvers import solve
 
 __all__ = [
     "TransportConfig",
     "TransportResult",
-    "marginal_error",
     "ot_distance",
     "ot_reward",
     "pairwise_cost",
@@ -27,7 +26,6 @@ __all__ = [
 _HOMES = {
     "TransportConfig": "config",
     "TransportResult": "config",
-    "marginal_error": "solvers",
     "ot_distance": "distance",
     "ot_reward": "reward",
     "pairwise_cost": "costs",

@@ -1,14 +1,19 @@
 """The reward against the paper's equation written out, and what must hold of it."""
 
+import subprocess
+import sys
+
 import numpy as np
 import ot
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from rapl_core.errors import ConvergenceError, ShapeError
-from rapl_core.transport import TransportConfig, ot_reward
+from rapl_core.transport import TransportConfig, ot_reward, pairwise_cost
+from rapl_core.transport.reward import frame_cost
 from rapl_core.types import EmbeddedEpisode
 
 EXACT = TransportConfig(cost="cosine", solver="exact")
@@ -113,3 +118,31 @@ def test_bad_input_is_refused_by_name():
         ot_reward(z[:, 0], experts, EXACT, 1.0)
     with pytest.raises(ShapeError, match="scale is 0"):
         ot_reward(z, experts, EXACT, 0.0)
+
+
+@pytest.mark.parametrize("kind", ["cosine", "euclidean", "sqeuclidean"])
+def test_the_cost_of_frames_equals_the_one_that_learning_differentiates(kind):
+    rng = np.random.default_rng(5)
+    x, y = rng.normal(size=(20, 8)), rng.normal(size=(13, 8))
+    y[3] = x[7]
+    differentiable = pairwise_cost(torch.from_numpy(x), torch.from_numpy(y), kind)
+    np.testing.assert_allclose(frame_cost(x, y, kind), differentiable, rtol=1e-9, atol=1e-12)
+
+
+def test_a_zero_vector_has_the_cosine_cost_one():
+    cost = frame_cost(np.zeros((2, 3)), np.ones((4, 3)), "cosine")
+    np.testing.assert_array_equal(cost, np.ones((2, 4)))
+
+
+@pytest.mark.parametrize("solver", ["sinkhorn", "exact", "uniform"])
+def test_it_loads_no_torch(solver):
+    code = f"""
+import sys
+import numpy as np
+from rapl_core.transport import TransportConfig, ot_reward
+from rapl_core.types import EmbeddedEpisode
+expert = EmbeddedEpisode("e", np.eye(3, dtype=np.float32))
+ot_reward(np.eye(3), [expert], TransportConfig(solver="{solver}"), 1.0)
+sys.exit("torch" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
