@@ -154,7 +154,11 @@ class ParameterPort:
         self._say("")
         incarnation, began_s = peer.incarnation, time.monotonic()
         future, sent_s = self._client.call_async(_request(name, value)), began_s
+        told = False
         while not future.done():
+            if not told and time.monotonic() - began_s > PATIENCE_S:
+                told = True
+                self._say(f"for {self._peer} to take up {value}")
             late = time.monotonic() - began_s > deadline_s
             # Where setting takes long, the peer's executor is at it and beats no heart meanwhile.
             lost = peer.heard_s - sent_s > ANSWER_S
@@ -166,6 +170,7 @@ class ParameterPort:
                     raise PeerRestartedError(f"{self._peer} restarted while {name} was set")
                 future, sent_s = self._client.call_async(_request(name, value)), time.monotonic()
             await pause(self._node, POLL_S)
+        self._say("")
         result = future.result().results[0]
         if not result.successful:
             raise CallError(f"{self._peer} refuses {name} = {value!r}: {result.reason}")

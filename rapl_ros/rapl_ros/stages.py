@@ -20,8 +20,9 @@ from rapl_ros.node import RaplNode
 from rapl_ros.progress import count_in
 from rapl_ros.run_config import RunConfig
 
-SWAP_DEADLINE_S = 180.0
-"""For an encoder to load and to embed its experts; torch alone takes seconds to import."""
+SWAP_DEADLINE_S = 900.0
+"""For an encoder to load and to embed its experts: seconds on a quiet machine, minutes on one with
+twenty processes a core. That it died meanwhile is noticed at once, by its heartbeat."""
 HUMAN_DEADLINE_S = 30.0
 """For the simulated human to appear, or to answer."""
 DRAWN_NOISE = -1.0

@@ -253,8 +253,6 @@ def test_the_shell_line_makes_ros2_work_in_another_terminal(
         timeout=DEADLINE_S, check=False,
     )  # fmt: skip
     assert done.stdout == "/rapl/subject\n", done.stderr
-    env_file = standin_path.write_env_file(tmp_path)
-    assert env_file.read_text() == line + "\n"
 
 
 def test_a_real_ros2_on_the_path_takes_over(

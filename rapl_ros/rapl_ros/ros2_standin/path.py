@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 VARIABLES = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")
-ENV_FILE = "ros2.env"
 
 
 def standin_folder() -> Path:
@@ -34,14 +33,6 @@ def shell_line() -> str:
     elif overlay is not None:
         return f"source {shlex.quote(str(overlay))} && export {' '.join(settings)}"
     return f"export {' '.join(settings)}"
-
-
-def write_env_file(run_folder: Path) -> Path:
-    """Write `shell_line` to ``ros2.env`` in the run folder, to be sourced; return its path."""
-    path = run_folder / ENV_FILE
-    beside = path.with_suffix(".new")
-    beside.write_text(shell_line() + "\n")
-    return beside.replace(path)
 
 
 def _overlay() -> Path | None:
