@@ -40,7 +40,7 @@ SCHEDULE = ScheduleConfig(
     evaluate_episodes=2,
     checkpoint_every=360,
 )
-START_S = 90.0
+START_S = 200.0
 """torch takes seconds to import, many on a busy machine."""
 Start = Callable[..., NodeProcess]
 
@@ -112,7 +112,7 @@ def heartbeats(probe: Probe, node: str) -> list[wire_msg.Heartbeat]:
     return probe.listen(wire_msg.Heartbeat, name, qos.heartbeat())
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(400)
 def test_the_graph_learns_what_learning_in_process_learns_to_the_last_bit(
     probe: Probe, start: Start, tmp_path: Path
 ) -> None:
@@ -157,7 +157,7 @@ def test_the_graph_learns_what_learning_in_process_learns_to_the_last_bit(
     )
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize("victim", ["simulator", "ot_reward"])
 def test_a_killed_peer_is_named_within_5_s_and_training_goes_on_when_it_is_back(
     probe: Probe, start: Start, tmp_path: Path, victim: str
@@ -190,7 +190,7 @@ def test_a_killed_peer_is_named_within_5_s_and_training_goes_on_when_it_is_back(
     assert answer.result.metrics.steps >= SCHEDULE.steps
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(400)
 def test_a_killed_learner_goes_on_from_its_checkpoint(
     probe: Probe, start: Start, tmp_path: Path
 ) -> None:
@@ -223,7 +223,7 @@ def test_a_killed_learner_goes_on_from_its_checkpoint(
         second.close()
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(400)
 def test_save_and_cancel_leave_a_checkpoint_and_a_busy_learner_refuses(
     probe: Probe, start: Start, tmp_path: Path
 ) -> None:
@@ -243,7 +243,7 @@ def test_save_and_cancel_leave_a_checkpoint_and_a_busy_learner_refuses(
     assert not idle.success and "no training" in idle.message
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_back_pressure_no_round_begins_while_rewards_are_missing(
     start: Start, tmp_path: Path, rclpy_context: None
 ) -> None:
