@@ -91,10 +91,11 @@ def make_encoder(
     """Learn an encoder from rankings alone."""
     preset = get_preset(preset_name)
     recipe = RAW_RECIPE if reward == "imagenet" else preset.recipe
+    mirror = preset.mirror and reward != "imagenet"
     extractor = make_extractor(DEFAULT_BACKBONE, recipe)
     by_id = {video.episode_id: video.frames[1:] for video in pool}
     find_parts(extractor, list(by_id), by_id.__getitem__, seed)
-    features = FeatureStore(extractor, work / "features", precision="bfloat16")
+    features = FeatureStore(extractor, work / "features", precision="bfloat16", mirror=mirror)
     for video in pool:
         features.add_episode(video)
     experts = expert_set(rankings, 10)

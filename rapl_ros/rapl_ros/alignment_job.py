@@ -111,7 +111,8 @@ def run_alignment(
     if not triplets:
         raise RankingError(f"no triplet in {len(rankings)} rankings, expected at least one")
     recipe = RAW_RECIPE if order.method == "imagenet" else preset.recipe
-    features = _features(order, recipe, on_video)
+    mirror = preset.mirror and order.method != "imagenet"
+    features = _features(order, recipe, mirror, on_video)
     rng = np.random.default_rng(order.seed)
     several = len({ranking.annotator for ranking in rankings}) > 1
     looks = several or order.people.noise == "estimated" or order.people.groups != 1
@@ -188,14 +189,16 @@ def _rankings(order: AlignmentOrder) -> list[Ranking]:
 
 
 def _features(
-    order: AlignmentOrder, recipe: FeatureRecipe, on_video: Callable[[int, int], None]
+    order: AlignmentOrder, recipe: FeatureRecipe, mirror: bool, on_video: Callable[[int, int], None]
 ) -> FeatureStore:
     """Features of every video of the pool; those in no triplet serve the statistics."""
     episodes = EpisodeStore(order.run_folder / "episodes")
     pool = [e.episode_id for e in episodes.summaries() if e.purpose in order.purposes]
     extractor = make_extractor(DEFAULT_BACKBONE, recipe)
     find_parts(extractor, pool, lambda name: episodes.frames(name)[1:], order.seed)
-    features = FeatureStore(extractor, order.run_folder / "features", order.precision)
+    features = FeatureStore(
+        extractor, order.run_folder / "features", order.precision, mirror=mirror
+    )
     for done, episode_id in enumerate(pool):
         on_video(done, len(pool))
         features.add(episode_id, episodes.frames(episode_id)[1:])

@@ -112,14 +112,16 @@ class Strategist:
 
     def _read(self, videos: tuple[str, ...], strategy: str) -> None:
         # Here, for torch takes seconds and 250 MiB, and uniform asking needs none of it.
-        from rapl_core.representations import FeatureStore, get_preset, make_extractor
+        from rapl_core.representations import FeatureStore, find_parts, get_preset, make_extractor
         from rapl_core.representations.registry import DEFAULT_BACKBONE
 
+        episodes = EpisodeStore(self._folder / "episodes")
         if self._features is None:
-            extractor = make_extractor(DEFAULT_BACKBONE, get_preset(self._preset).recipe)
+            preset = get_preset(self._preset)
+            extractor = make_extractor(DEFAULT_BACKBONE, preset.recipe)
+            find_parts(extractor, videos, lambda name: episodes.frames(name)[1:], self._seed)
             folder = self._folder / "features"
             self._features = FeatureStore(extractor, folder, self._precision)  # type: ignore[arg-type]
-        episodes = EpisodeStore(self._folder / "episodes")
         for done, episode_id in enumerate(videos):
             if self._closing.is_set():
                 return

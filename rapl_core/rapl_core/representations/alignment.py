@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from rapl_core.errors import RankingError, ShapeError
 from rapl_core.representations.card import EncoderCard, RewardKind
 from rapl_core.representations.encoder import Encoder, matched_part, reward_of
 from rapl_core.representations.extractor import FeatureExtractor
-from rapl_core.representations.features import FeatureStore, stack_frames
+from rapl_core.representations.features import MIRRORED, FeatureStore, stack_frames
 from rapl_core.representations.heads import Embedder, linear_head
 from rapl_core.representations.presets import Preset
 from rapl_core.representations.projection import Projection
@@ -33,6 +34,8 @@ from rapl_core.representations.training import (
 from rapl_core.types import EmbeddedEpisode, Triplet
 
 OnEpoch = Callable[[EpochProgress], None]
+
+Ranked = TypeVar("Ranked", Triplet, TiedTriplet)
 
 
 @dataclass(frozen=True)
@@ -111,16 +114,13 @@ def fit_embedder(
     else:
         split = TripletSplit(tuple(lesson.triplets), tuple(lesson.held_out))
     unseen = split.unseen_videos - set(lesson.expert_ids)
-    statistics_videos = tuple(name for name in sorted(features) if name not in unseen)
+    statistics_videos = tuple(
+        name for name in sorted(features) if name.removeprefix(MIRRORED) not in unseen
+    )
     projection = _fit_projection({n: features[n] for n in statistics_videos}, preset, rng)
     width = next(iter(features.values())).shape[1]
     head = linear_head(projection.dimension if projection else width, dimension, rng)
-    used = _named((*split.train, *split.held_out), lesson)
-    data = TrainingData(
-        {name: _project(projection, features[name]) for name in used},
-        split.train, split.held_out, lesson.expert_ids, lesson.ties, preset.frames,
-        preset.expert_from,
-    )  # fmt: skip
+    data = _training_data(features, projection, lesson, split, preset)
     history = train_head(head, objective, data, preset, rng, on_epoch)
     explained = projection.explained if projection else 1.0
     return Fit(Embedder(projection, head), split, history, statistics_videos, explained)
@@ -223,6 +223,11 @@ def check_recipe(features: FeatureStore, preset: Preset) -> None:
             f"features were extracted with {asdict(features.extractor.recipe)}, "
             f"preset {preset.name} expects {asdict(preset.recipe)}"
         )
+    if features.mirror != preset.mirror:
+        raise ShapeError(
+            f"features were read {'with' if features.mirror else 'without'} mirrored twins, preset "
+            f"{preset.name} expects mirror={preset.mirror}"
+        )
 
 
 def _fit_projection(
@@ -242,6 +247,31 @@ def _project(projection: Projection | None, video: NDArray[np.float32]) -> NDArr
         return video
     with torch.no_grad():
         return np.asarray(projection(torch.from_numpy(video)).numpy())
+
+
+def _training_data(
+    features: Features,
+    projection: Projection | None,
+    lesson: Lesson,
+    split: TripletSplit,
+    preset: Preset,
+) -> TrainingData:
+    """Projected videos; of what is learnt from also the mirrored twins, where there are any."""
+    train, ties, experts = list(split.train), list(lesson.ties), list(lesson.expert_ids)
+    if preset.mirror and any(name.startswith(MIRRORED) for name in features):
+        train += [_twin(triplet, ("best", "middle", "worst")) for triplet in split.train]
+        ties += [_twin(tie, ("best", "first", "second")) for tie in lesson.ties]
+        experts += [MIRRORED + name for name in lesson.expert_ids]
+    used = _named((*train, *split.held_out), replace(lesson, ties=ties, expert_ids=experts))
+    videos = {name: _project(projection, features[name]) for name in used}
+    return TrainingData(
+        videos, train, split.held_out, experts, ties, preset.frames, preset.expert_from
+    )
+
+
+def _twin(ranked: Ranked, names: Sequence[str]) -> Ranked:
+    """The same order of the mirrored videos."""
+    return replace(ranked, **{field: MIRRORED + getattr(ranked, field) for field in names})
 
 
 def _named(triplets: Iterable[Triplet], lesson: Lesson) -> set[str]:

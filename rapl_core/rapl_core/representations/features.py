@@ -22,6 +22,9 @@ _PARTS_STREAM = 0x9A27
 _PARTS_VIDEOS, _PARTS_FRAMES = 150, 12
 """Parts are found in at most so many videos, and so many frames of each."""
 
+MIRRORED = "mirrored-"
+"""How the name of a video's left-right mirrored twin begins."""
+
 
 class FeatureStore(Mapping[str, NDArray[np.float32]]):
     """(T, F) features by episode id.
@@ -38,13 +41,18 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
         folder: Path | None = None,
         precision: Precision = "float32",
         dtype: Literal["float16", "float32"] = "float16",
+        mirror: bool = False,
     ) -> None:
+        """
+        :param mirror: whether each video brings its left-right mirrored twin.
+        """
         if dtype not in _STORED:
             raise UnknownNameError("feature dtype", dtype, _STORED)
         if extractor.needs_parts:
             raise WeightsError("features need the parts of the task's pictures: find them first")
         self.extractor = extractor
         self.precision: Precision = precision
+        self.mirror = mirror
         self.computed = 0
         """Videos that went through the backbone; the others came from the cache."""
         self._dtype = dtype
@@ -57,13 +65,20 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
         :raises ShapeError: for frames of another shape or dtype, or features beyond the dtype.
         """
         check_episode_id(episode_id)
+        self._features[episode_id] = self._found(episode_id, frames)
+        if self.mirror:
+            twin = np.ascontiguousarray(frames[:, :, ::-1])
+            self._features[MIRRORED + episode_id] = self._found(episode_id, twin)
+
+    def _found(self, episode_id: str, frames: NDArray[np.uint8]) -> NDArray[Any]:
+        """From the cache or the backbone."""
         path = self._folder and self._folder / f"{_content_hash(frames)}.safetensors"
         found = _read(path) if path else None
         if found is None:
             found = self._compute(episode_id, frames)
             if path:
                 _write(path, found)
-        self._features[episode_id] = found
+        return found
 
     def add_episode(self, episode: Episode) -> None:
         """Add frames 1..T of an episode: those arrived in by its transitions."""

@@ -56,6 +56,9 @@ class Preset:
     the arm never does (slowness: Wiskott and Sejnowski 2002)."""
     slow_lag: float = 1 / 12
     """How far apart those frames are, as a share of the video."""
+    mirror: bool = False
+    """See each training video left-right mirrored too, ranked as it was: the wish holds for either
+    side. For cameras and scenes that are much the same mirrored, and wishes that name no side."""
     longest_cut: float = 0.0
     """In training, drop a random share of up to this of the start of all videos of a batch."""
     frames: int | None = None
@@ -140,6 +143,7 @@ TUNED = Preset(
     reward=_UNIFORM,
     expert_weight=1.0,
     slow_weight=4.0,
+    mirror=True,
     expert_from=5 / 6,
     longest_cut=0.66,
     frames=20,
