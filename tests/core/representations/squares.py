@@ -17,6 +17,7 @@ SMALL = replace(
     name="small",
     recipe=FeatureRecipe(stages=("stride8",), poolings=(Pooling("grid", grid=4),), size=(64, 64)),
     components=64,
+    mirror=False,
     slow_weight=0.0,  # everything moves all the time in these videos
     epochs=30,
     held_out=0.2,

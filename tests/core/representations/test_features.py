@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rapl_core.errors import ShapeError
-from rapl_core.representations.features import FeatureStore
+from rapl_core.representations.features import MIRRORED, FeatureStore
 from rapl_core.types import Episode
 
 
@@ -72,3 +72,17 @@ def test_an_episode_gives_the_frames_that_its_transitions_arrive_in(extractor, p
 def test_a_malformed_id_is_refused(extractor, pool):
     with pytest.raises(ShapeError, match="Not An Id"):
         FeatureStore(extractor).add("Not An Id", pool.videos[pool.names[0]])
+
+
+def test_a_mirrored_twin_stands_beside_each_video(extractor, pool, tmp_path):
+    name = pool.names[0]
+    frames = pool.videos[name]
+    store = FeatureStore(extractor, tmp_path, mirror=True)
+    store.add(name, frames)
+    assert list(store) == [name, MIRRORED + name]
+    plain = FeatureStore(extractor)
+    plain.add("flipped", frames[:, :, ::-1])
+    np.testing.assert_array_equal(store[MIRRORED + name], plain["flipped"])
+    again = FeatureStore(extractor, tmp_path, mirror=True)
+    again.add(name, frames)
+    assert again.computed == 0

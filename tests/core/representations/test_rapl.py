@@ -11,6 +11,7 @@ from torch import nn
 
 from rapl_core.errors import ConvergenceError, RankingError, ShapeError
 from rapl_core.representations.alignment import Lesson
+from rapl_core.representations.features import MIRRORED, FeatureStore
 from rapl_core.representations.presets import AUTHORS_CODE, PAPER, TUNED
 from rapl_core.representations.rapl import RaplObjective, align, fit_rapl
 from rapl_core.representations.report import wilson_interval
@@ -203,3 +204,26 @@ def test_a_head_that_is_to_be_slow_turns_away_from_what_always_moves():
         resting, moving = head.weight.detach().norm(dim=0)
         shares.append(float(moving / (moving + resting)))
     assert shares[1] < 0.8 * shares[0]
+
+
+def test_mirrored_videos_are_learnt_from_and_choose_nothing(extractor, pool):
+    mirrored = replace(SMALL, mirror=True)
+    store = FeatureStore(extractor, mirror=True)
+    for name, frames in pool.videos.items():
+        store.add(name, frames)
+    fit = fit_rapl(
+        store, Lesson(pool.triplets, pool.expert_ids), mirrored, np.random.default_rng(2)
+    )
+    assert not any(t.best.startswith(MIRRORED) for t in fit.split.held_out)
+    unseen = fit.split.unseen_videos
+    used = set(fit.statistics_videos)
+    assert {n for n in used if not n.startswith(MIRRORED)} == set(pool.names) - unseen
+    assert {n.removeprefix(MIRRORED) for n in used if n.startswith(MIRRORED)} == (
+        set(pool.names) - unseen
+    )
+
+
+def test_features_without_mirrored_twins_are_refused_where_the_preset_wants_them(features, pool):
+    with pytest.raises(ShapeError, match="without mirrored twins.*mirror=True"):
+        mirrored = replace(SMALL, mirror=True)
+        align(features, pool.triplets, pool.expert_ids, mirrored, np.random.default_rng(2))
