@@ -20,6 +20,9 @@ from rapl_ros.wire import Command, Instant
 SILENCE_S: Final = 10.0
 """A simulator repeats what it waits for every second: so long without a state, a round is lost."""
 
+WATCH_S: Final = 1.0
+"""Between two looks at how long it has been silent."""
+
 _EARLY: Final = 256
 
 
@@ -63,7 +66,8 @@ class Rounds:
         self._actions = node.publish_to(wire_msg.Action, topics.ACTION, qos.stream())
         node.subscribe_to(wire_msg.State, topics.STATE, self._on_state, qos.stream())
         self._client = node.create_client(Reset, topics.of_node(topics.RESET, topics.SIMULATOR))
-        node.steady_timer(1.0, self._watch)
+        node.steady_timer(WATCH_S, self._watch)
+        self._watched_s = time.monotonic()
         self._round: _Round | None = None
         self._early: deque[Instant] | None = None
 
@@ -121,9 +125,14 @@ class Rounds:
             self._early.append(instant)
 
     def _watch(self) -> None:
+        now_s = time.monotonic()
+        since_s, self._watched_s = now_s - self._watched_s, now_s
         if self._round is None:
             return
-        silent_s = time.monotonic() - self._round.heard_s
+        # Time in which this node itself was busy, with gradient steps say, does not count: what
+        # came meanwhile is in its queue.
+        self._round.silent_s += min(since_s, WATCH_S)
+        silent_s = self._round.silent_s
         alive = topics.SIMULATOR not in self._node.missing_peers()
         if silent_s > SILENCE_S and alive:
             self.abandon(RoundLostError(f"no state for {silent_s:.0f} s: who drives the worlds?"))
@@ -133,7 +142,7 @@ class _Round:
     """One episode of every world."""
 
     def __init__(self, episode_ids: list[str], player: Player, actions: Any, done: Any) -> None:
-        self.heard_s = time.monotonic()
+        self.silent_s = 0.0
         self._under_way = set(episode_ids)
         self._player = player
         self._actions = actions
@@ -150,7 +159,7 @@ class _Round:
         """Take a state; when every world under way has its next one, answer them all."""
         if instant.episode_id not in self._under_way or self._done.done():
             return
-        self.heard_s = time.monotonic()
+        self.silent_s = 0.0
         answer = self._answers.get(instant.episode_id)
         if answer is not None and instant.step <= answer.step:
             if instant.step == answer.step:  # its action was lost
