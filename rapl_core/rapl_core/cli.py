@@ -24,10 +24,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="success curve of a run with the true reward, to draw beside (the one of a run in "
         "the same folder)",
     )
+    gallery = commands.add_parser(
+        "gallery", help="picture and video of each task: a preferred and a disliked episode"
+    )
+    gallery.add_argument("tasks", nargs="*", metavar="TASK", help="names of tasks (all)")
+    gallery.add_argument(
+        "--pictures", type=Path, default=Path("docs/pictures/gallery"), help="(%(default)s)"
+    )
+    gallery.add_argument("--videos", type=Path, default=Path("runs/gallery"), help="(%(default)s)")
     arguments = parser.parse_args(argv)
     try:
         if arguments.command == "list":
             _list()
+        elif arguments.command == "gallery":
+            _gallery(arguments.tasks, arguments.pictures, arguments.videos)
         else:
             _report(arguments.run, arguments.oracle)
     except RaplError as error:
@@ -46,6 +56,25 @@ def _list() -> None:
         print(f"{name}: {task.title}")
         print(f"  behaviours: {', '.join(behaviour_names(task))}")
     print(f"encoders: {', '.join(encoder_names())}")
+
+
+def _gallery(names: Sequence[str], pictures: Path, videos: Path) -> None:
+    from rapl_core.analysis.gallery import film_pair, write_picture, write_video
+    from rapl_core.tasks import get_task, task_names
+
+    failed = []
+    for task in [get_task(name) for name in names or task_names()]:
+        try:
+            pair = film_pair(task)
+        except RaplError as error:  # the other tasks can be shown all the same
+            failed.append(str(error))
+            continue
+        picture, video = pictures / f"{task.name}.png", videos / f"{task.name}.webp"
+        write_picture(pair, picture)
+        write_video(pair, video)
+        print(f"{task.name}, start {pair.start}: {picture}, {video}", flush=True)
+    if failed:
+        raise RaplError("; ".join(failed))
 
 
 def _report(run: Path, oracle: Path | None) -> None:

@@ -19,7 +19,7 @@ ROS = {"rclpy", "rapl_msgs", "rapl_ros", "sensor_msgs", "std_msgs", "diagnostic_
 LEVELS = {
     "types": 0, "errors": 0, "atomic": 0,
     "tasks": 1, "simulation": 1, "episodes": 1,
-    "demonstrators": 2,
+    "demonstrators": 2, "environments": 2,
     "transport": 3, "representations": 3, "preferences": 3, "streaming": 3,
     "policies": 4, "analysis": 4,
     "cli": 5,

@@ -1,11 +1,21 @@
 """Scripted behaviours, preferred and disliked."""
 
+from rapl_core.demonstrators.behaviour import Behaviour
 from rapl_core.demonstrators.collecting import collect
 from rapl_core.demonstrators.demonstrator import (
     Demonstrator,
     behaviour_names,
+    behaviours_of,
     draw_behaviours,
     make_demonstrator,
 )
 
-__all__ = ["Demonstrator", "behaviour_names", "collect", "draw_behaviours", "make_demonstrator"]
+__all__ = [
+    "Behaviour",
+    "Demonstrator",
+    "behaviour_names",
+    "behaviours_of",
+    "collect",
+    "draw_behaviours",
+    "make_demonstrator",
+]

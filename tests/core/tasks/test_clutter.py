@@ -7,7 +7,7 @@ from rapl_core.errors import ShapeError
 from rapl_core.simulation.simulation import Simulation, episode_rng
 from rapl_core.tasks import get_task
 
-CUBES = np.array([[0.02, -0.19], [0.14, -0.175], [0.30, 0.235], [0.31, -0.17]])
+CUBES = np.array([[0.02, -0.19], [0.14, -0.175], [0.30, 0.215], [0.31, -0.17]])
 
 
 @pytest.fixture(scope="module")
