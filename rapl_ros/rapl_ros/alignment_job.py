@@ -4,13 +4,14 @@ import json
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rapl_core.episodes import EpisodeStore
-from rapl_core.errors import RankingError, UnknownNameError
+from rapl_core.errors import RankingError
 from rapl_core.preferences import RankingStore, triplets_from
 from rapl_core.preferences.people import (
     GroupLesson,
@@ -31,18 +32,18 @@ from rapl_core.representations import (
     get_preset,
     learn_reward,
     make_extractor,
-    raw_encoder_from,
     save_encoder,
 )
 from rapl_core.representations.extractor import FeatureRecipe, Precision
+from rapl_core.representations.masked import MaskedConfig
+from rapl_core.representations.methods import DEFAULT_BACKBONE, get_method
 from rapl_core.representations.presets import Preset
-from rapl_core.representations.pretrained import RAW_RECIPE
-from rapl_core.representations.registry import DEFAULT_BACKBONE
+from rapl_core.representations.tcc import TccConfig
+from rapl_core.representations.workshop import Workshop, WorkshopConfig
 from rapl_core.types import Ranking
 
 PEOPLE_FILE = "people.json"
 """In the run folder: what the last alignment found about the annotators."""
-METHODS = ("rapl", "rlhf", "imagenet")
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,20 @@ class AlignmentOrder:
     """Purposes of the episodes that are the pool of videos."""
     people: PeopleConfig = PeopleConfig()
     """What to make of wrong answers and of people who disagree."""
+    backbone: str = ""
+    """Network that features are read from; empty: the one that the method names."""
+    weights: Path | None = None
+    """Its weights, a file or a folder; None: the default place."""
+    tcc: TccConfig = field(default_factory=TccConfig)
+    masked: MaskedConfig = field(default_factory=MaskedConfig)
+
+    @property
+    def workshop(self) -> WorkshopConfig:
+        """What makes the encoders that learn from no rankings."""
+        return WorkshopConfig(
+            self.run_folder, self.method, self.preset, self.seed, self.precision, self.purposes,
+            self.backbone, self.weights, self.tcc, self.masked,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,27 +118,27 @@ def run_alignment(
     :raises UnknownNameError: for another method or preset, naming the known ones.
     :raises RankingError: if there are too few rankings.
     """
-    if order.method not in METHODS:
-        raise UnknownNameError("method of alignment", order.method, METHODS)
+    method = get_method(order.method)
+    workshop = Workshop(order.workshop, on_video, on_epoch)
     preset = get_preset(order.preset)
     rankings = _rankings(order)
     triplets = triplets_from(rankings)
     if not triplets:
         raise RankingError(f"no triplet in {len(rankings)} rankings, expected at least one")
-    recipe = RAW_RECIPE if order.method == "imagenet" else preset.recipe
-    mirror = preset.mirror and order.method != "imagenet"
-    features = _features(order, recipe, mirror, on_video)
     rng = np.random.default_rng(order.seed)
     several = len({ranking.annotator for ranking in rankings}) > 1
     looks = several or order.people.noise == "estimated" or order.people.groups != 1
-    summary = summarise(features) if looks else None
+    features: FeatureStore | None = None
+    if looks or method.lesson == "rankings":
+        features = _features(order, preset.recipe, preset.mirror, on_video)
+    summary = summarise(features) if looks and features is not None else None
     # A generator of its own: who ranked must not change what one person's rankings lead to.
     people_rng = np.random.default_rng([order.seed, 301])
     people = study_people(rankings, summary, order.people, order.experts, people_rng)
     preset = replace(preset, noise=order.people.noise)
     # The largest group last: its encoder is the newest, which the method's name stands for.
     outcomes = [
-        _learn(order, lesson, features, preset, rng, on_epoch)
+        _learn(order, lesson, workshop, features, preset, rng, on_epoch)
         for lesson in reversed(people.lessons)
     ]
     _write_findings(order.run_folder, people, outcomes)
@@ -133,32 +148,40 @@ def run_alignment(
 def _learn(
     order: AlignmentOrder,
     lesson: GroupLesson,
-    features: FeatureStore,
+    workshop: Workshop,
+    features: FeatureStore | None,
     preset: Preset,
     rng: np.random.Generator,
     on_epoch: Callable[[EpochProgress], None],
 ) -> GroupOutcome:
     encoder: Encoder
-    report: AlignmentReport | None = None
+    report: dict[str, Any] | None = None
+    accuracy = math.nan
     experts = lesson.expert_ids
     if not lesson.triplets:
         raise RankingError(
             f"no triplet in {len(lesson.rankings)} rankings of {', '.join(lesson.annotators)}"
         )
-    if order.method == "imagenet":
-        encoder = raw_encoder_from(features, experts, rng)
-    elif order.method == "rlhf":
-        encoder, report = learn_reward(features, lesson.triplets, experts, preset, rng, on_epoch)
+    if workshop.method.lesson != "rankings" or features is None:
+        product = workshop.make(experts, rng)
+        encoder, report = product.encoder, product.report
     else:
-        ties = tied_triplets(lesson.rankings)
-        encoder, report = align(features, lesson.triplets, experts, preset, rng, on_epoch, ties)
+        learnt: AlignmentReport
+        if order.method == "rlhf":
+            encoder, learnt = learn_reward(
+                features, lesson.triplets, experts, preset, rng, on_epoch
+            )
+        else:
+            ties = tied_triplets(lesson.rankings)
+            encoder, learnt = align(features, lesson.triplets, experts, preset, rng, on_epoch, ties)
+        report, accuracy = learnt.to_json(), learnt.held_out_accuracy
     folder = checkpoint_folder(order.run_folder, encoder)
-    save_encoder(encoder, folder, report.to_json() if report else None)
+    save_encoder(encoder, folder, report)
     return GroupOutcome(
         lesson,
         version=encoder.info.version,
         uri=str(folder.relative_to(order.run_folder)),
-        held_out_accuracy=report.held_out_accuracy if report else math.nan,
+        held_out_accuracy=accuracy,
     )
 
 
@@ -194,7 +217,7 @@ def _features(
     """Features of every video of the pool; those in no triplet serve the statistics."""
     episodes = EpisodeStore(order.run_folder / "episodes")
     pool = [e.episode_id for e in episodes.summaries() if e.purpose in order.purposes]
-    extractor = make_extractor(DEFAULT_BACKBONE, recipe)
+    extractor = make_extractor(order.backbone or DEFAULT_BACKBONE, recipe, order.weights)
     find_parts(extractor, pool, lambda name: episodes.frames(name)[1:], order.seed)
     features = FeatureStore(
         extractor, order.run_folder / "features", order.precision, mirror=mirror

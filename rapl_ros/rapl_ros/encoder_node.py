@@ -30,6 +30,9 @@ from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters
 from rapl_ros.wire import EmbeddedFrame, JoinKey
 
+CHECK_EVERY = 4
+"""Of an expert video's frames every fourth one is what an inference engine is checked on."""
+
 AT_WORK_FILE = "at_work.json"
 """In ``<run folder>/encoders``: what a restarted node takes up again."""
 
@@ -42,7 +45,8 @@ class EncoderChoice:
     """Name of the encoder at work, e.g. rapl or imagenet. Empty: none yet, or after a restart the
     one that was at work in this run folder."""
     weights: str = ""
-    """File with the weights of its backbone; empty: where they are by default."""
+    """File with the weights of its backbone, or a folder that may hold it as <backbone>.pt, .pth
+    or .safetensors; empty: where they are by default. A folder serves every encoder."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,9 @@ class EncoderNodeConfig:
     """Videos in the expert set of an encoder that brings none of its own."""
     threads: int = field(default=1, metadata={"minimum": 1, "maximum": 64})
     """Threads of torch. More than one on a busy machine is slower, not faster."""
+    engine: Literal["torch", "openvino"] = "torch"
+    """What computes the features. openvino, where installed, must agree with torch (cosine 0.999)
+    when an encoder is loaded; it takes bfloat16 where that holds, else float32."""
     batch_frames: int = field(default=16, metadata={"minimum": 1, "maximum": 256})
     """Pictures embedded at once, at most."""
     linger_s: float = field(default=0.02, metadata={"minimum": 0.0, "maximum": 1.0})
@@ -250,9 +257,12 @@ def load(choice: EncoderChoice, config: EncoderNodeConfig) -> EncoderAtWork:
         raise RaplError(f"an encoder needs a name; known: {', '.join(encoder_names())}")
     weights = Path(choice.weights) if choice.weights else None
     encoder = make_encoder(choice.encoder, config.run_folder, weights=weights)
-    _try_out(encoder)
     ids = encoder.expert_ids or _preferred(config)
     episodes = EpisodeStore(config.run_folder / "episodes")
+    if config.engine != "torch":
+        pictures = episodes.frames(ids[0])[::CHECK_EVERY] if ids else None
+        encoder.extractor.use_engine(config.engine, config.threads, pictures)
+    _try_out(encoder)
     experts = tuple(encoder.embed_expert(i, episodes.frames(i)) for i in ids)
     info = encoder.info
     rule = RewardRule(encoder.reward_kind, info.reward_scale, encoder.transport)

@@ -47,8 +47,11 @@ _DEFAULT = RunConfig(task="franka_group")
 
 SETTINGS = {
     "task": "what to learn",
-    "reward": "where the reward comes from: rapl, ground_truth, imagenet or rlhf",
+    "reward": "where the reward comes from: rapl, ground_truth, ...: ./run_all.sh --list",
     "encoder": "encoder that embeds the pictures; empty: the one that the reward implies",
+    "backbone": "network that the encoder is made on; empty: the one that the reward names",
+    "weights": "its weights, a file or a folder; empty: where they are usually",
+    "demonstrations": "preferred demonstrations, for tcc and tcc_ot",
     "preset": "settings of the representation learning: tuned, paper or authors_code",
     "human": "who ranks: simulated, or people on the page (web)",
     "seed": "of everything random",

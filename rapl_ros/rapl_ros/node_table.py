@@ -36,13 +36,23 @@ class NodeEntry:
 
 NODES: tuple[NodeEntry, ...] = (
     NodeEntry("simulator", "rapl_ros.simulator_node", ("task", "worlds", "clock_file")),
-    NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder",), imports_torch=True),
+    NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder", "weights"), imports_torch=True),
     NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source", "human_reward_scale")),
     NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",)),
     NodeEntry(
         "preference",
         "rapl_ros.preference_node",
-        ("run_folder", "seed", "rankings_wanted", "repeat_share", "shared_share"),
+        (
+            "run_folder",
+            "seed",
+            "rankings_wanted",
+            "repeat_share",
+            "shared_share",
+            "backbone",
+            "weights",
+            "tcc_iterations",
+            "masked_iterations",
+        ),
         imports_torch=True,
     ),
     NodeEntry(
@@ -103,6 +113,10 @@ def run_parameters(
         # People tire and differ: now and then the same again, and what another person has ranked.
         "repeat_share": 0.08 if config.asks_people else 0.0,
         "shared_share": 0.08 if config.asks_people else 0.0,
+        "backbone": config.backbone,
+        "weights": str(Path(config.weights).resolve()) if config.weights else "",
+        "tcc_iterations": config.tcc_iterations,
+        "masked_iterations": config.masked_iterations,
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",
         # Longer than ot_reward waits for an encoder that has fallen behind.
         "reward_deadline_s": 60.0,

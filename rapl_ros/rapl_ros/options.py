@@ -14,11 +14,23 @@ REWARDS = {
     "ground_truth": "the simulated human's own reward r*: the oracle, an upper bound",
     "imagenet": "optimal transport in the raw ImageNet features: what rankings are worth",
     "rlhf": "a reward network learnt from the same rankings, without transport",
+    "tcc": "distance to the goal of preferred demonstrations, after temporal cycle consistency",
+    "tcc_ot": "optimal transport in the same representation",
+    "r3m": "optimal transport in R3M's features; its weights must be given",
+    "mvp": "optimal transport in MVP's features; its weights must be given",
+    "mvp_finetuned": "MVP adapted to the videos by LoRA; --backbone mae_vit needs no weights",
+    "mae_scratch": "a masked autoencoder pre-trained on the videos themselves, optimal transport",
+    "vip": "optimal transport in VIP's features; its weights must be given",
+    "liv": "optimal transport in LIV's features; its weights must be given",
+    "dinov2": "optimal transport in DINOv2's features; its weights must be given",
+    "clock": "a control: the frame's index alone",
+    "mean_distance": "a control: mean distance to all expert frames, raw ImageNet features",
 }
 HUMANS = {
     "simulated": "ranks by its own reward r*, at once",
     "web": "people rank on a page in the browser; the run waits for them",
 }
+NEVER_FOR_LEARNING = {"supervised_probe"}
 PRESETS = {
     "tuned": "our best settings, which depart from the paper where docs/paper_notes.md says so",
     "paper": "the paper's text; what it leaves open is in docs/paper_notes.md",
@@ -48,6 +60,9 @@ QUICK = {
     "evaluate_every": 1_500,
     "evaluate_episodes": 8,
     "final_episodes": 12,
+    "demonstrations": 40,
+    "tcc_iterations": 300,
+    "masked_iterations": 60,
 }
 
 
@@ -109,6 +124,22 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         help=f"videos to collect and rank ({default.pool_episodes})",
     )
     parser.add_argument(
+        "--demonstrations",
+        type=_whole(2),
+        metavar="N",
+        help=f"preferred demonstrations, for tcc and tcc_ot ({default.demonstrations})",
+    )
+    parser.add_argument(
+        "--backbone",
+        metavar="NAME",
+        help="network that the encoder is made on (the one that --reward names)",
+    )
+    parser.add_argument(
+        "--weights",
+        metavar="PATH",
+        help="its weights: a file, or a folder that holds it as NAME.pt (where they are usually)",
+    )
+    parser.add_argument(
         "--steps",
         type=_whole(1),
         metavar="N",
@@ -168,9 +199,20 @@ def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> R
     values = {**(QUICK if arguments.quick else {}), **_given(arguments)}
     config = RunConfig(task=arguments.task, quick=arguments.quick, **values)
     config = replace(config, random_steps=min(config.random_steps, config.steps // 4))
+    if config.reward in NEVER_FOR_LEARNING:
+        raise RaplError(
+            f"'{config.reward}' is fitted to the human's own reward: a ceiling in tables, never "
+            f"for learning; rewards: {', '.join(sorted(REWARDS))}"
+        )
     _check(config.reward, "reward", REWARDS)
     _check(config.preset, "preset", PRESETS)
     _check(config.human, "human", HUMANS)
+    if config.backbone:
+        from rapl_core.representations import backbone_names  # imports torch: seconds
+
+        _check(config.backbone, "backbone", backbone_names())
+    if config.weights and not Path(config.weights).exists():
+        raise RaplError(f"no weights at {config.weights}; give a file, or a folder of them")
     if config.encoder:
         from rapl_core.representations import encoder_names  # imports torch: seconds
 

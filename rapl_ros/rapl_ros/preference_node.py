@@ -57,6 +57,15 @@ class PreferenceConfig(DeskConfig, PeopleConfig):
     is rewarded with is always embedded in float32."""
     threads: int = field(default=1, metadata={"minimum": 1, "maximum": 64})
     """Threads of torch."""
+    backbone: str = ""
+    """Network that alignment reads features from; empty: the one that the method names."""
+    weights: str = ""
+    """File with its weights, or a folder that holds it as <backbone>.pt; empty: where they are by
+    default."""
+    tcc_iterations: int = field(default=4000, metadata={"minimum": 1, "maximum": 1_000_000})
+    """Of tcc and tcc_ot."""
+    masked_iterations: int = field(default=1500, metadata={"minimum": 1, "maximum": 1_000_000})
+    """Of mae_scratch and mvp_finetuned."""
 
     def __post_init__(self) -> None:
         DeskConfig.__post_init__(self)
@@ -274,6 +283,8 @@ class PreferenceNode(RaplNode):
         """Train, on the worker's thread."""
         import torch  # here, for it takes seconds and 250 MiB, and asking people needs none of it
 
+        from rapl_core.representations.masked import MaskedConfig
+        from rapl_core.representations.tcc import TccConfig
         from rapl_ros.alignment_job import AlignmentOrder, run_alignment
 
         torch.set_num_threads(self.config.threads)
@@ -295,6 +306,10 @@ class PreferenceNode(RaplNode):
             precision=config.precision,
             purposes=config.purposes,
             people=people,
+            backbone=config.backbone,
+            weights=Path(config.weights) if config.weights else None,
+            tcc=TccConfig(iterations=config.tcc_iterations),
+            masked=MaskedConfig(iterations=config.masked_iterations),
         )
 
         def on_video(done: int, total: int) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from rapl_core.errors import CorruptFileError, RaplError
+from rapl_core.representations.methods import get_method, method_names
 
 CONFIG_FILE = "config.yaml"
 RESULTS_FILE = "results.json"
@@ -29,6 +30,15 @@ class RunConfig:
     pool_episodes: int = 300
     """Videos in the pool that is ranked."""
     triplets: int = 150
+    demonstrations: int = 500
+    """Preferred demonstrations, for the methods that learn from them (tcc, tcc_ot)."""
+    backbone: str = ""
+    """Network that an encoder is made on; empty: the one that its method names."""
+    weights: str = ""
+    """File with that network's weights, or a folder that holds it as <backbone>.pt."""
+    tcc_iterations: int = 4_000
+    masked_iterations: int = 1_500
+    """Of mae_scratch and mvp_finetuned."""
     steps: int = 60_000
     """World steps of learning, all worlds together."""
     random_steps: int = 2_000
@@ -57,8 +67,18 @@ class RunConfig:
 
     @property
     def aligns(self) -> bool:
-        """True when an encoder is trained from the rankings."""
-        return self.reward in ("rapl", "rlhf")
+        """True when an encoder's head is trained, as the preset says."""
+        return self._lesson in ("rankings", "demonstrations")
+
+    @property
+    def uses_demonstrations(self) -> bool:
+        """True when the encoder learns from preferred demonstrations."""
+        return self._lesson == "demonstrations"
+
+    @property
+    def _lesson(self) -> str:
+        known = self.reward in method_names()
+        return get_method(self.reward).lesson if known else ""
 
     @property
     def reward_encoder(self) -> str:

@@ -4,7 +4,7 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,6 +13,7 @@ from rapl_msgs.action import Align, Collect, Evaluate, Train
 from rapl_msgs.srv import GetProgress, ListRankings
 
 from rapl_core.episodes import EpisodeStore
+from rapl_core.tasks import get_task
 from rapl_ros import topics
 from rapl_ros.calls import CallError, call, pause
 from rapl_ros.goals import ActionPort, ParameterPort
@@ -137,6 +138,35 @@ async def _wait_for_people(context: StageContext, wanted: int) -> Result:
         await pause(context.node, 0.5)
 
 
+async def demonstrate(context: StageContext) -> Result:
+    """Show how it should be done until there are as many preferred videos as wanted.
+
+    The pool's own preferred ones count. It runs after the ranking, so that what is ranked is the
+    same for every reward.
+    """
+    from rapl_core.demonstrators import preferred_behaviours  # loads the simulator
+
+    run = context.run
+    preferred = preferred_behaviours(get_task(run.task))
+    have = _shown(context.folder, preferred)
+    if have < run.demonstrations:
+        goal = Collect.Goal(
+            episodes=run.demonstrations - have,
+            behaviours=preferred,
+            noise=DRAWN_NOISE,
+            purpose="demonstrate",
+            seed=run.seed,
+            first_episode=max((_number(e) for e in _pool(context.folder)), default=-1) + 1,
+        )
+        result = await context.collect.run(
+            goal,
+            lambda feedback: context.show(have + feedback.done, run.demonstrations, "videos"),
+        )
+        _check(result, "demonstrate")
+    context.show(run.demonstrations, run.demonstrations, "videos")
+    return {"demonstrations": _shown(context.folder, preferred)}
+
+
 async def align(context: StageContext) -> Result:
     """Train the encoder from the rankings and put it to work."""
     run = context.run
@@ -255,6 +285,12 @@ STAGES: tuple[Stage, ...] = (
         is_needed=lambda run: run.uses_rankings,
     ),
     Stage(
+        "demonstrate",
+        demonstrate,
+        lambda r: f"{r['demonstrations']} preferred demonstrations",
+        is_needed=lambda run: run.uses_demonstrations,
+    ),
+    Stage(
         "align",
         align,
         lambda r: _accuracy_words(r["held_out_accuracy"]),
@@ -276,6 +312,12 @@ def _pool(folder: Path) -> list[str]:
     return [e.episode_id for e in store.summaries() if e.purpose == "demonstrate"]
 
 
+def _shown(folder: Path, behaviours: Sequence[str]) -> int:
+    store = EpisodeStore(folder / "episodes")
+    shown = [e for e in store.summaries() if e.purpose == "demonstrate"]
+    return sum(e.behaviour in behaviours for e in shown)
+
+
 def _number(episode_id: str) -> int:
     """Number within its world: ids are ``<purpose>-s<seed>-w<world>-<number>-<token>``."""
     return int(episode_id.split("-")[3])
@@ -283,7 +325,11 @@ def _number(episode_id: str) -> int:
 
 def _accuracy_words(accuracy: float) -> str:
     known = math.isfinite(accuracy)
-    return f"{accuracy:.0%} of held-out triplets ordered right" if known else "nothing to learn"
+    return (
+        f"{accuracy:.0%} of held-out triplets ordered right"
+        if known
+        else "nothing to learn from rankings"
+    )
 
 
 def _check(result: Any, what: str) -> None:

@@ -49,7 +49,7 @@ def test_quick_is_small_and_its_parts_can_be_overridden(tmp_path: Path) -> None:
         ([], ["a task is missing", "franka_group"]),
         (["franka_group", "--reward", "gold"], ["'gold'", "ground_truth", "imagenet", "rapl"]),
         (["franka_group", "--preset", "best"], ["'best'", "authors_code", "paper", "tuned"]),
-        (["franka_group", "--encoder", "vip"], ["unknown encoder 'vip'", "imagenet", "rapl"]),
+        (["franka_group", "--encoder", "clip"], ["unknown encoder 'clip'", "imagenet", "rapl"]),
         (["franka_group", "--steps", "many"], ["'many'", "whole number, 1 or more"]),
         (["franka_group", "--worlds", "99"], ["1 to 16"]),
         (["franka_group", "--stesp", "5"], ["--stesp", "known options", "--steps"]),

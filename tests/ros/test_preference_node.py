@@ -225,7 +225,7 @@ def test_align_refuses_what_it_does_not_know_and_can_be_cancelled(
     folder, _ = run
     unknown = person.align(encoder="magic", preset="tuned")
     assert unknown.status == GoalStatus.STATUS_ABORTED
-    assert "'magic'; known: imagenet, rapl, rlhf" in unknown.result.message
+    assert "'magic'; known: clock, " in unknown.result.message
     unknown = person.align(encoder="rapl", preset="best")
     assert "unknown preset 'best'; known: authors_code, paper, tuned" in unknown.result.message
     before = sorted(path.name for path in (folder / "encoders").iterdir())

@@ -16,6 +16,8 @@ from rapl_core.errors import ShapeError
 FRAME_GAP_M = 0.02
 """Frame pairs closer than this in r* (metres) are not asked about by :func:`concordance`."""
 
+_NOTHING_LEFT = 1e-9
+
 Traces = Sequence[ArrayLike]
 
 
@@ -60,6 +62,28 @@ def spearman_per_step(rewards: Traces, human: Traces) -> StepCorrelation:
     return StepCorrelation(float(defined.mean()) if len(defined) else float("nan"), per_video)
 
 
+def video_mix(behaviours: Sequence[str]) -> dict[str, int]:
+    """Videos of each behaviour: what a mean over videos is a mean of."""
+    return {name: behaviours.count(name) for name in sorted(set(behaviours))}
+
+
+def partial_spearman_given_time(rewards: Traces, human: Traces) -> StepCorrelation:
+    """Return Spearman's correlation over the steps of each video with the clock's part removed.
+
+    With ranks of reward r, human h and time t:  (rho_rh - rho_rt rho_ht) /
+    sqrt((1 - rho_rt^2) (1 - rho_ht^2)); undefined where a trace is constant or a clock itself.
+    """
+    per_video = np.full(len(rewards), np.nan)
+    for i, (reward, felt) in enumerate(zip(rewards, human, strict=True)):
+        time = np.arange(len(np.asarray(felt)))
+        both, r_time, h_time = spearman(reward, felt), spearman(reward, time), spearman(felt, time)
+        left = (1 - r_time**2) * (1 - h_time**2)
+        if left > _NOTHING_LEFT:  # false for NaN too
+            per_video[i] = (both - r_time * h_time) / np.sqrt(left)
+    defined = per_video[~np.isnan(per_video)]
+    return StepCorrelation(float(defined.mean()) if len(defined) else float("nan"), per_video)
+
+
 def concordance(rewards: Traces, human: Traces, gap: float = FRAME_GAP_M) -> Concordance:
     """Return the concordance over pairs of frames of one video that differ by more than ``gap``.
 
@@ -99,11 +123,64 @@ def arm_only_share(expert_rewards: Traces, mime_rewards: Traces, window: int = 5
     :return: mean gain of the mimes over mean gain of the experts; NaN when either set is empty or
         the experts gain nothing.
     """
-    if not len(expert_rewards) or not len(mime_rewards):
+    return gain_share(expert_rewards, mime_rewards, window)
+
+
+def gain_share(whole: Traces, part: Traces, window: int = 5) -> float:
+    """Return the mean gain of some videos over that of others that show all of it.
+
+    :param whole: rewards of videos in which arm and objects move.
+    :param part: rewards of the same with only one of the two moving; of objects alone it should
+        come out near 1, of the arm alone near 0 (:func:`arm_only_share`).
+    :return: NaN when either set is empty or the whole gains nothing.
+    """
+    if not len(whole) or not len(part):
         return float("nan")
-    expert_gain = float(np.mean([_gain(r, window) for r in expert_rewards]))
-    mime_gain = float(np.mean([_gain(r, window) for r in mime_rewards]))
-    return mime_gain / expert_gain if expert_gain > 0 else float("nan")
+    gain = float(np.mean([_gain(r, window) for r in whole]))
+    share = float(np.mean([_gain(r, window) for r in part]))
+    return share / gain if gain > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a landscape says of each thing that a reward must express, one number each.
+
+    Of rewards along placed scenes, scaled so that 0 is rest and 1 is done.
+    """
+
+    rise: float
+    """Spearman's correlation with the way gone while both go to the goal together; wanted: 1."""
+    pit: float
+    """How far it falls below an earlier value on that way, at most; wanted: 0."""
+    alone: float
+    """Where one object alone is in the goal; wanted: little, at r* below 0."""
+    gap: float
+    """Lost while a gap grows between objects in the goal; wanted: above 0."""
+    arm: float
+    """Gained by the arm alone; wanted: 0."""
+
+
+def wishes(together: ArrayLike, alone: ArrayLike, gap: ArrayLike, arm: ArrayLike) -> Wishes:
+    """Return one number for each wish.
+
+    :param together: (N,) along the way of both to the goal; its ends set the scale.
+    :param alone: (N,) along the way of one alone.
+    :param gap: (N,) while the gap grows.
+    :param arm: (N,) along the way of the arm alone; its first scene is rest.
+    :return: all NaN where being done earns no more than rest.
+    """
+    way, one, wide, bare = (np.asarray(x, dtype=np.float64) for x in (together, alone, gap, arm))
+    low, high = float(bare[0]), float(way[-1])
+    if not high > low:
+        return Wishes(*[float("nan")] * 5)
+    unit = high - low
+    return Wishes(
+        rise=spearman(way, np.arange(len(way))),
+        pit=float((np.maximum.accumulate(way) - way).max()) / unit,
+        alone=(float(one[-1]) - low) / unit,
+        gap=float(wide[0] - wide[-1]) / unit,
+        arm=float(bare[-1] - bare[0]) / unit,
+    )
 
 
 def triplet_accuracy(returns: dict[str, float], triplets: Sequence[tuple[str, str, str]]) -> float:

@@ -27,6 +27,10 @@ REWARD_WORDS = {
     "rlhf": "RLHF, learnt from rankings",
     "imagenet": "optimal transport in raw ImageNet features",
     "ground_truth": "the human's own reward (oracle)",
+    "tcc": "TCC, distance to the goal",
+    "tcc_ot": "TCC, optimal transport",
+    "clock": "the frame's index alone (control)",
+    "mean_distance": "mean distance to expert frames (control)",
 }
 
 

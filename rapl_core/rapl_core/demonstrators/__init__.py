@@ -8,6 +8,7 @@ from rapl_core.demonstrators.demonstrator import (
     behaviours_of,
     draw_behaviours,
     make_demonstrator,
+    preferred_behaviours,
 )
 
 __all__ = [
@@ -18,4 +19,5 @@ __all__ = [
     "collect",
     "draw_behaviours",
     "make_demonstrator",
+    "preferred_behaviours",
 ]

@@ -85,6 +85,11 @@ def behaviour_names(task: Task) -> list[str]:
     return list(behaviours_of(task))
 
 
+def preferred_behaviours(task: Task) -> list[str]:
+    """Return the names of those that show how it should be done."""
+    return [name for name, behaviour in behaviours_of(task).items() if behaviour.preferred]
+
+
 def make_demonstrator(
     task: Task, behaviour: str, rng: np.random.Generator, noise: float = 0.0
 ) -> Demonstrator:

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from rapl_core.errors import RankingError, ShapeError
-from rapl_core.representations.card import EncoderCard, RewardKind
+from rapl_core.representations.card import EncoderCard
 from rapl_core.representations.encoder import Encoder, matched_part, reward_of
 from rapl_core.representations.extractor import FeatureExtractor
 from rapl_core.representations.features import MIRRORED, FeatureStore, stack_frames
@@ -31,6 +31,7 @@ from rapl_core.representations.training import (
     TrainingData,
     train_head,
 )
+from rapl_core.transport.plain_rewards import RewardKind
 from rapl_core.types import EmbeddedEpisode, Triplet
 
 OnEpoch = Callable[[EpochProgress], None]
@@ -117,7 +118,7 @@ def fit_embedder(
     statistics_videos = tuple(
         name for name in sorted(features) if name.removeprefix(MIRRORED) not in unseen
     )
-    projection = _fit_projection({n: features[n] for n in statistics_videos}, preset, rng)
+    projection = fit_projection({n: features[n] for n in statistics_videos}, preset, rng)
     width = next(iter(features.values())).shape[1]
     head = linear_head(projection.dimension if projection else width, dimension, rng)
     data = _training_data(features, projection, lesson, split, preset)
@@ -230,9 +231,10 @@ def check_recipe(features: FeatureStore, preset: Preset) -> None:
         )
 
 
-def _fit_projection(
+def fit_projection(
     features: Features, preset: Preset, rng: np.random.Generator
 ) -> Projection | None:
+    """Statistics and components of all videos of ``features``; None where the preset has none."""
     if not preset.has_projection:
         return None
     frames = stack_frames(features)
@@ -242,7 +244,8 @@ def _fit_projection(
     return projection
 
 
-def _project(projection: Projection | None, video: NDArray[np.float32]) -> NDArray[np.float32]:
+def project(projection: Projection | None, video: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(T, F) -> (T, K)."""
     if projection is None:
         return video
     with torch.no_grad():
@@ -263,7 +266,7 @@ def _training_data(
         ties += [_twin(tie, ("best", "first", "second")) for tie in lesson.ties]
         experts += [MIRRORED + name for name in lesson.expert_ids]
     used = _named((*train, *split.held_out), replace(lesson, ties=ties, expert_ids=experts))
-    videos = {name: _project(projection, features[name]) for name in used}
+    videos = {name: project(projection, features[name]) for name in used}
     return TrainingData(
         videos, train, split.held_out, experts, ties, preset.frames, preset.expert_from
     )

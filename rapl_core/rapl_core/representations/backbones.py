@@ -1,9 +1,7 @@
 """Frozen image networks with real weights, by name."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import timm
 import torch
@@ -11,7 +9,10 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from rapl_core.errors import UnknownNameError, WeightsError
+from rapl_core.representations.backbone_spec import BackboneSpec, Stage
+from rapl_core.representations.masked_architecture import MAE_SMALL
 from rapl_core.representations.preprocessing import IMAGENET_MEAN, IMAGENET_STD, Preprocessing
+from rapl_core.representations.public_checkpoints import PUBLIC
 from rapl_core.representations.weights import (
     StateDict,
     cached_download,
@@ -20,27 +21,20 @@ from rapl_core.representations.weights import (
     load_into,
     read_weights,
     tensors_sha256,
+    weights_in,
 )
 
-Stage = Literal["stride2", "stride4", "stride8", "stride16", "stride32", "final"]
-"""The last feature map at this many pixels a cell; ``final``: after the network's last layer."""
+__all__ = [
+    "Backbone",
+    "BackboneSpec",
+    "Stage",
+    "backbone_names",
+    "backbone_spec",
+    "load_backbone",
+    "load_network",
+]
 
 RESNET18_URL = "https://download.pytorch.org/models/resnet18-f37072fd.pth"
-
-
-@dataclass(frozen=True)
-class BackboneSpec:
-    """How to build a backbone and where its weights are."""
-
-    name: str
-    title: str
-    """For tables: training data and network."""
-    architecture: str
-    """timm's name."""
-    preprocessing: Preprocessing
-    default_weights: Callable[[], Path]
-    translate: Callable[[nn.Module, StateDict, str], StateDict]
-    """From the file's names of tensors to timm's."""
 
 
 class Backbone(nn.Module):
@@ -54,6 +48,9 @@ class Backbone(nn.Module):
         digest: str,
         weights_file: str = "",
     ) -> None:
+        """
+        :raises UnknownNameError: if the network has no such stage.
+        """
         super().__init__()
         self.spec = spec
         self.stages = stages
@@ -62,8 +59,7 @@ class Backbone(nn.Module):
         """Where the weights were given; empty for the default place."""
         self.network: Any = network.eval().requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)
-        reductions = [int(info["reduction"]) for info in network.feature_info]
-        self._indices = [reductions.index(int(s[6:])) for s in stages if s != "final"]
+        self._indices = [stage_index(network, spec.name, s) for s in stages if s != "final"]
 
     def train(self, mode: bool = True) -> "Backbone":
         """Stay in evaluation mode: batch statistics are frozen with the weights."""
@@ -72,24 +68,54 @@ class Backbone(nn.Module):
 
     def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
         """(N, 3, H, W) -> one (N, C, h, w) a stage, in the order of ``stages``."""
-        maps: list[torch.Tensor] = []
-        final = x
-        if "final" in self.stages:
-            final, maps = self.network.forward_intermediates(x, indices=self._indices or [0])
-        else:
-            maps = self.network.forward_intermediates(
-                x, indices=self._indices, intermediates_only=True, stop_early=True
-            )
-        by_index = dict(zip(sorted(set(self._indices)), maps, strict=False))
-        order = iter(self._indices)
-        return [final if stage == "final" else by_index[next(order)] for stage in self.stages]
+        return stage_maps(self.network, self.spec, self.stages, self._indices, x)
 
     def channels(self, stage: Stage) -> int:
         """C of a stage's feature map."""
-        if stage == "final":
-            return int(self.network.num_features)
-        infos = self.network.feature_info
-        return next(int(i["num_chs"]) for i in infos if i["reduction"] == int(stage[6:]))
+        if stage != "final":
+            index = stage_index(self.network, self.spec.name, stage)
+            return int(self.network.feature_info[index]["num_chs"])
+        if self.spec.final == "output":
+            return int(self.network.num_classes)
+        return int(self.network.num_features)
+
+
+def stage_maps(
+    network: Any,
+    spec: BackboneSpec,
+    stages: tuple[Stage, ...],
+    indices: list[int],
+    x: torch.Tensor,
+) -> list[torch.Tensor]:
+    """(N, 3, H, W) -> one (N, C, h, w) a stage; differentiable."""
+    maps: list[torch.Tensor] = []
+    final = x
+    if "final" in stages:
+        final, maps = network.forward_intermediates(x, indices=indices or [0])
+        if spec.final == "token":
+            final = final[:, 0, :, None, None]
+        elif spec.final == "output":
+            final = network.forward_head(final)[:, :, None, None]
+    else:
+        maps = network.forward_intermediates(
+            x, indices=indices, intermediates_only=True, stop_early=True
+        )
+    by_index = dict(zip(sorted(set(indices)), maps, strict=False))
+    order = iter(indices)
+    return [final if stage == "final" else by_index[next(order)] for stage in stages]
+
+
+def stage_index(network: Any, name: str, stage: Stage) -> int:
+    """Place of a stage among the network's feature maps; the last one where several fit.
+
+    :raises UnknownNameError: naming those that it has.
+    """
+    reductions = [int(info["reduction"]) for info in network.feature_info]
+    wanted = int(stage.removeprefix("stride"))
+    if wanted not in reductions:
+        known = [f"stride{r}" for r in reductions]
+        raise UnknownNameError(f"stage of {name}", stage, {*known, "final"})
+    return max(i for i, reduction in enumerate(reductions) if reduction == wanted)
 
 
 def load_backbone(
@@ -97,25 +123,48 @@ def load_backbone(
 ) -> Backbone:
     """Build a frozen backbone with trained weights.
 
-    :param weights: a file to take instead of the default place.
+    :param weights: a file to take instead of the default place, or a folder that may hold it as
+        ``<name>.pt``, ``.pth`` or ``.safetensors``.
     :raises UnknownNameError: for an unknown backbone or stage.
     :raises WeightsError: if the weights are missing, random, corrupt or of another architecture.
     """
-    spec = backbone_spec(name)
     for stage in stages:
         if stage not in get_args(Stage):
             raise UnknownNameError("backbone stage", stage, get_args(Stage))
-    path = Path(weights) if weights is not None else spec.default_weights()
+    spec, network, given = load_network(name, weights)
+    digest = tensors_sha256(network.state_dict())
+    if spec.final != "output":
+        network.reset_classifier(0, "")
+    _fuse_batch_norms(network.eval())
+    return Backbone(spec, network, stages, digest, given)
+
+
+def load_network(name: str, weights: Path | None = None) -> tuple[BackboneSpec, Any, str]:
+    """Build the whole network as it was trained, and say where its weights were given.
+
+    :return: specification, network, and the file's path or nothing for the default place.
+    :raises UnknownNameError, WeightsError: as of :func:`load_backbone`.
+    """
+    spec = backbone_spec(name)
+    given = weights_in(Path(weights), name) if weights is not None else None
+    path = given or _default_weights(spec, weights)
     source = f"weights {path} for {name}"
-    network: Any = timm.create_model(spec.architecture, pretrained=False)
-    state = spec.translate(network, read_weights(path), source)
+    network: Any = timm.create_model(spec.architecture, pretrained=False, **spec.options)
+    state = read_weights(path, spec.top_key)
+    if state.keys() != network.state_dict().keys():  # else it was written here
+        state = spec.translate(network, state, source)
     load_into(network, state, source)
     check_trained(network.state_dict(), source)
-    digest = tensors_sha256(network.state_dict())
-    network.reset_classifier(0, "")
-    _fuse_batch_norms(network.eval())
-    given = str(path.resolve()) if weights is not None else ""
-    return Backbone(spec, network, stages, digest, given)
+    return spec, network, str(given.resolve()) if given is not None else ""
+
+
+def _default_weights(spec: BackboneSpec, folder: Path | None) -> Path:
+    try:
+        return spec.default_weights()
+    except WeightsError as error:
+        if folder is None:
+            raise
+        raise WeightsError(f"the folder {folder} holds no {spec.name}.pt; {error}") from error
 
 
 def backbone_names() -> list[str]:
@@ -186,5 +235,7 @@ _BACKBONES = {
             default_weights=lambda: cached_download(RESNET18_URL),
             translate=_unwrapped,
         ),
+        *PUBLIC,
+        MAE_SMALL,
     )
 }

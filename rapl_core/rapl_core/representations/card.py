@@ -5,7 +5,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import torch
 
@@ -15,8 +15,7 @@ from rapl_core.representations.pooling import Pooling
 from rapl_core.representations.preprocessing import Preprocessing
 from rapl_core.representations.weights import tensors_sha256
 from rapl_core.transport import TransportConfig
-
-RewardKind = Literal["ot", "scalar"]
+from rapl_core.transport.plain_rewards import RewardKind
 
 FORMAT = 1
 
@@ -44,7 +43,7 @@ class EncoderCard:
     dimension: int
     """D of the embedding."""
     reward_kind: RewardKind
-    """``ot``: optimal transport to the experts. ``scalar``: the embedding is the reward."""
+    """How rewards follow from embeddings."""
     transport: TransportConfig
     reward_scale: float
     expert_ids: tuple[str, ...]
@@ -52,6 +51,8 @@ class EncoderCard:
     """Share of an expert video that is passed over before its frames are matched."""
     data_sha256: str
     """Of the triplets, experts and features that it was trained on; empty if on none."""
+    has_own_backbone: bool = False
+    """Whether the backbone was trained here, so that its weights belong to the checkpoint."""
     weights_file: str = field(default="", compare=False)
     """Where the backbone's weights were, if not at their default place; a hint, no identity."""
 
@@ -66,7 +67,7 @@ class EncoderCard:
         ):
             if not isinstance(getattr(self, name), str):
                 raise ShapeError(f"{name} is {getattr(self, name)!r}, expected text")
-        for name in ("has_projection", "has_head"):
+        for name in ("has_projection", "has_head", "has_own_backbone"):
             if not isinstance(getattr(self, name), bool):
                 raise ShapeError(f"{name} is {getattr(self, name)!r}, expected true or false")
         for name in ("features", "components", "dimension"):

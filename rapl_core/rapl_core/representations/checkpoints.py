@@ -19,13 +19,16 @@ from rapl_core.representations.weights import load_into
 
 MODEL_FILE = "model.safetensors"
 CARD_FILE = "card.json"
+BACKBONE_FILE = "backbone.safetensors"
+"""Only of an encoder whose backbone was trained here."""
 REPORT_FILE = "report.json"
 
 
 def save_encoder(encoder: Encoder, folder: Path, report: dict[str, Any] | None = None) -> Path:
     """Write an encoder to ``folder``, which appears complete or not at all.
 
-    The backbone's own weights are referred to by their hash, not copied.
+    The backbone's own weights are referred to by their hash, not copied, unless it was trained
+    here.
 
     :param folder: the checkpoint's own folder, e.g. from :func:`checkpoint_folder`. If it exists
         with this very version it only becomes the newest.
@@ -43,6 +46,8 @@ def save_encoder(encoder: Encoder, folder: Path, report: dict[str, Any] | None =
         beside.mkdir(parents=True)
         tensors = {k: v.contiguous() for k, v in encoder.tensors.items()}
         save_file(tensors, beside / MODEL_FILE, metadata={"version": encoder.info.version})
+        if encoder.card.has_own_backbone:
+            shutil.copyfile(encoder.extractor.backbone.weights_file, beside / BACKBONE_FILE)
         card = {**encoder.card.to_json(), "version": encoder.info.version}
         (beside / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n")
         if report is not None:
@@ -71,7 +76,9 @@ def load_encoder(folder: Path, weights: Path | None = None) -> Encoder:
     embedder = _empty_embedder(card)
     load_into(embedder, {k: t for k, t in tensors.items() if not k.startswith(POOLS)}, source)
     recorded = Path(card.weights_file) if card.weights_file else None
-    if weights is None and recorded is not None and recorded.is_file():
+    if card.has_own_backbone:
+        weights = folder / BACKBONE_FILE
+    elif weights is None and recorded is not None and recorded.is_file():
         weights = recorded
     extractor = make_extractor(card.backbone, card.recipe, weights)
     load_into(extractor.pools, of_pools, source)

@@ -12,6 +12,13 @@ from rapl_core.representations.card import EncoderCard
 from rapl_core.representations.extractor import FeatureExtractor
 from rapl_core.representations.heads import Embedder
 from rapl_core.transport import TransportConfig, ot_reward
+from rapl_core.transport.plain_rewards import (
+    KINDS_WITH_EXPERTS,
+    RewardKind,
+    clock_reward,
+    goal_reward,
+    scalar_reward,
+)
 from rapl_core.types import EmbeddedEpisode, EncoderInfo, Episode, RewardTrace
 
 POOLS = "pools."
@@ -69,9 +76,14 @@ class Encoder:
         return self.card.transport
 
     @property
-    def reward_kind(self) -> str:
-        """``ot`` or ``scalar``."""
+    def reward_kind(self) -> RewardKind:
+        """``ot``, ``scalar``, ``goal`` or ``clock``."""
         return self.card.reward_kind
+
+    @property
+    def needs_experts(self) -> bool:
+        """False where embeddings alone make the reward."""
+        return self.card.reward_kind in KINDS_WITH_EXPERTS
 
     @property
     def expert_ids(self) -> tuple[str, ...]:
@@ -110,7 +122,7 @@ class Encoder:
         """Reward of each frame of a video by this encoder's own rule and scale.
 
         :param z: (T, D) embeddings of frames 1..T.
-        :param experts: D+ through this encoder; not used by a scalar reward.
+        :param experts: D+ through this encoder; not used by a scalar reward or the clock.
         :raises ShapeError: for embeddings of another width, NaN, or without experts.
         """
         return reward_of(self.card, z, experts)
@@ -136,14 +148,6 @@ def reward_of(
         raise ShapeError(f"embedding has shape {z.shape}, expected (T, {card.dimension})")
     if card.reward_kind == "ot":
         return ot_reward(z, experts, card.transport, card.reward_scale)
-    if not np.all(np.isfinite(z)):
-        raise ShapeError(f"embedding has {int((~np.isfinite(z)).sum())} NaN or infinite values")
-    return RewardTrace(
-        values=card.reward_scale * z[:, 0].astype(np.float64),
-        expert_id="",
-        transport_cost=0.0,
-        converged=True,
-        iterations=0,
-        marginal_error=0.0,
-        scale=card.reward_scale,
-    )
+    if card.reward_kind == "goal":
+        return goal_reward(z, experts, card.reward_scale)
+    return (clock_reward if card.reward_kind == "clock" else scalar_reward)(z, card.reward_scale)

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from torch import nn
 
 from rapl_core.errors import ShapeError, UnknownNameError
-from rapl_core.representations.backbones import Backbone, Stage, load_backbone
+from rapl_core.representations.backbone_spec import Stage
+from rapl_core.representations.backbones import Backbone, load_backbone
+from rapl_core.representations.engines import Engine, OpenVinoEngine, flat_scenes
 from rapl_core.representations.parts import PartPool
 from rapl_core.representations.pooling import Pooling, make_pool
 from rapl_core.representations.preprocessing import Preprocessing, preprocess
@@ -44,6 +46,8 @@ class FeatureExtractor(nn.Module):
         self.backbone = backbone
         self.recipe = recipe
         self.preprocessing = _sized(backbone.spec.preprocessing, recipe.size)
+        self.engine: Engine = "torch"
+        self._openvino: OpenVinoEngine | None = None
         self.pools = nn.ModuleList(
             make_pool(pooling, backbone.channels(stage))
             for stage in backbone.stages
@@ -94,13 +98,38 @@ class FeatureExtractor(nn.Module):
         stages = (m for m in maps for _ in self.recipe.poolings)
         return zip(self.pools, stages, strict=True)
 
+    def use_engine(
+        self, engine: Engine, threads: int = 1, pictures: NDArray[Any] | None = None
+    ) -> None:
+        """Compute features by another engine from now on; checked against torch first.
+
+        :param pictures: (N, H, W, 3) uint8 to check it on, like those to come; None: coloured
+            boxes.
+        :raises UnknownNameError: for an unknown engine.
+        :raises EngineError: if it is not installed or disagrees; the old one stays.
+        """
+        if engine not in get_args(Engine):
+            raise UnknownNameError("inference engine", engine, get_args(Engine))
+        self._openvino = None if engine == "torch" else self._compile(threads, pictures)
+        self.engine = engine
+
+    @property
+    def engine_precision(self) -> str:
+        """What the engine computes in."""
+        return self._openvino.precision if self._openvino else "float32"
+
+    def _compile(self, threads: int, pictures: NDArray[Any] | None) -> OpenVinoEngine:
+        frames = flat_scenes() if pictures is None else pictures
+        return OpenVinoEngine(self, preprocess(frames, self.preprocessing), threads)
+
     def extract(
         self, frames: NDArray[Any], precision: Precision = "float32", batch_size: int = 16
     ) -> torch.Tensor:
         """Features of pictures, without gradients.
 
         ``bfloat16`` is two to three times as fast and off by about one per cent; what a running
-        system must reproduce is computed in ``float32``.
+        system must reproduce is computed in ``float32``. Neither concerns the engine OpenVINO,
+        which has its own precision.
 
         :param frames: (N, H, W, 3) uint8 RGB of any one size.
         :return: (N, F) float32.
@@ -113,7 +142,7 @@ class FeatureExtractor(nn.Module):
         with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=is_half):
             for start in range(0, max(len(frames), 1), batch_size):
                 batch = preprocess(frames[start : start + batch_size], self.preprocessing)
-                features.append(self(batch))
+                features.append(self._openvino(batch) if self._openvino else self(batch))
         return torch.cat(features).clone()
 
 

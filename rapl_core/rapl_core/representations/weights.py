@@ -6,6 +6,7 @@ import pickle
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 from urllib.error import URLError
 
 import torch
@@ -14,44 +15,79 @@ from safetensors.torch import load_file
 
 from rapl_core.errors import WeightsError
 
+_NORM_WEIGHT = re.compile(r"(^|\.)norm\d*\.weight$")
 _HASH_IN_NAME = re.compile(r"-([0-9a-f]{8,64})\.[a-z]+$")
+
+WEIGHTS_SUFFIXES = (".pt", ".pth", ".safetensors")
 
 StateDict = dict[str, torch.Tensor]
 
 
-def read_weights(path: Path) -> StateDict:
+def weights_in(place: Path, name: str) -> Path | None:
+    """The weights file of a backbone: ``place`` itself, or what a folder holds under its name.
+
+    :return: None if the folder holds none.
+    """
+    if not place.is_dir():
+        return place
+    files = [place / f"{name}{suffix}" for suffix in WEIGHTS_SUFFIXES]
+    return next((file for file in files if file.is_file()), None)
+
+
+def read_weights(path: Path, top_key: str = "") -> StateDict:
     """Read a .safetensors or torch file; only tensors, never code.
 
-    A file whose name ends in ``-<hex>`` is checked against that start of its SHA-256.
+    A file whose name ends in ``-<hex>`` is checked against that start of its SHA-256, and any file
+    against ``<file>.sha256`` beside it (what ``sha256sum`` writes), if there is one.
 
+    :param top_key: under which the tensors may be; a file without it is read as it is.
     :raises WeightsError: if it is missing, unreadable, of another hash or not a dict of tensors.
     """
     if not path.is_file():
         raise WeightsError(f"no weights file {path}")
-    expected = _HASH_IN_NAME.search(path.name)
-    if expected and not (found := file_sha256(path)).startswith(expected[1]):
-        raise WeightsError(
-            f"weights {path} have SHA-256 {found[: len(expected[1])]}..., "
-            f"expected {expected[1]}... as in the file name"
-        )
+    _check_hash(path)
     try:
+        state: Any
         if path.suffix == ".safetensors":
             state = load_file(path)
         else:
             state = torch.load(path, map_location="cpu", weights_only=True)
     except (SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
         raise WeightsError(f"weights {path} cannot be read as tensors: {error}") from error
+    if top_key and isinstance(state, Mapping) and top_key in state:
+        state = state[top_key]
     if (
         not isinstance(state, Mapping)
         or not state
         or not all(isinstance(k, str) and isinstance(v, torch.Tensor) for k, v in state.items())
     ):
-        raise WeightsError(f"weights {path} hold no dict of named tensors")
+        under = f", neither at the top nor under '{top_key}'" if top_key else ""
+        raise WeightsError(f"weights {path} hold no dict of named tensors{under}")
     return dict(state)
 
 
+def _check_hash(path: Path) -> None:
+    expected = {}
+    if in_name := _HASH_IN_NAME.search(path.name):
+        expected["in the file name"] = in_name[1]
+    beside = path.with_name(f"{path.name}.sha256")
+    if beside.is_file():
+        words = beside.read_text(errors="replace").split()
+        if not words or not re.fullmatch(r"[0-9a-fA-F]{64}", words[0]):
+            raise WeightsError(f"{beside} holds no SHA-256, expected 64 hex digits")
+        expected[f"in {beside.name}"] = words[0].lower()
+    found = file_sha256(path) if expected else ""
+    for where, digits in expected.items():
+        if not found.startswith(digits):
+            raise WeightsError(
+                f"weights {path} have SHA-256 {found[: len(digits)]}..., "
+                f"expected {digits}... as {where}"
+            )
+
+
 def check_trained(state: Mapping[str, torch.Tensor], source: str) -> None:
-    """Refuse random weights: their batch statistics are still all zero.
+    """Refuse random weights: their batch statistics are still all zero, or, in a transformer,
+    their normalisations still scale by one and shift by nothing.
 
     :raises WeightsError: also for weights with NaN or infinite values.
     """
@@ -63,6 +99,20 @@ def check_trained(state: Mapping[str, torch.Tensor], source: str) -> None:
         raise WeightsError(
             f"{source} are random weights: {means[0]} and all other running means are zero, "
             "expected those of a trained network"
+        )
+    norms = [name for name in state if _NORM_WEIGHT.search(name)]
+    if (
+        norms
+        and not means
+        and all(
+            bool((state[name] == 1).all())
+            and not bool(state[name.removesuffix("weight") + "bias"].any())
+            for name in norms
+        )
+    ):
+        raise WeightsError(
+            f"{source} are random weights: {norms[0]} and all other normalisations are those of a "
+            "new network, expected those of a trained one"
         )
 
 

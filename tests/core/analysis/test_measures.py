@@ -8,6 +8,13 @@ from hypothesis.extra.numpy import arrays
 from scipy.stats import kendalltau, spearmanr
 
 from rapl_core.analysis import measures
+from rapl_core.analysis.measures import (
+    gain_share,
+    partial_spearman_given_time,
+    spearman_per_step,
+    video_mix,
+    wishes,
+)
 from rapl_core.errors import ShapeError
 
 
@@ -78,3 +85,41 @@ def test_traces_of_unequal_length_are_refused() -> None:
         measures.spearman_per_step([[1.0, 2.0]], [[1.0, 2.0, 3.0]])
     with pytest.raises(ShapeError, match="NaN"):
         measures.concordance([[1.0, float("nan")]], [[1.0, 2.0]])
+
+
+def test_what_is_left_without_the_clock() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(40.0)
+    felt = [time + 6 * rng.normal(size=40) for _ in range(30)]
+    clock = partial_spearman_given_time([time + 1e-9 * rng.normal(size=40) for _ in felt], felt)
+    assert clock.undefined == 30  # a clock has nothing left
+    noise = [time + 6 * rng.normal(size=40) for _ in felt]
+    assert spearman_per_step(noise, felt).mean > 0.6
+    assert abs(partial_spearman_given_time(noise, felt).mean) < 0.1
+    assert partial_spearman_given_time(felt, felt).mean == pytest.approx(1.0)
+
+
+def test_partial_correlation_is_that_of_the_residuals_of_ranks() -> None:
+    rng = np.random.default_rng(1)
+    x, y, t = rng.permutation(25).astype(float), rng.permutation(25).astype(float), np.arange(25.0)
+
+    def residual(values: np.ndarray) -> np.ndarray:
+        return values - np.polyval(np.polyfit(t, values, 1), t)
+
+    expected = np.corrcoef(residual(x), residual(y))[0, 1]
+    assert partial_spearman_given_time([x], [y]).mean == pytest.approx(expected)
+
+
+def test_shares_of_gain_and_the_mix_of_videos() -> None:
+    whole = [np.linspace(0, 10, 20)]
+    assert gain_share(whole, [np.linspace(3, 8, 20)]) == pytest.approx(0.5)
+    assert np.isnan(gain_share([np.zeros(20)], whole)) and np.isnan(gain_share(whole, []))
+    assert video_mix(["b", "a", "b"]) == {"a": 1, "b": 2}
+
+
+def test_a_landscape_gives_one_number_a_wish() -> None:
+    way = np.array([0.0, 2.0, 1.0, 3.0, 4.0])
+    found = wishes(way, [0, 1, 2], [4.0, 1.0], [0.0, 0.4])
+    assert found.rise == pytest.approx(0.9) and found.pit == pytest.approx(0.25)
+    assert (found.alone, found.gap) == (0.5, 0.75) and found.arm == pytest.approx(0.1)
+    assert np.isnan(wishes([0.0, -1.0], [0], [0], [0.0]).rise)

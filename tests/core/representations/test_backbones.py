@@ -79,8 +79,8 @@ def test_weights_of_another_architecture_are_refused(name, tmp_path):
 
 
 def test_unknown_names_are_refused_with_the_known_ones():
-    assert backbone_names() == ["efficientnet_lite0", "resnet18"]
-    with pytest.raises(UnknownNameError, match="vgg.*known: efficientnet_lite0, resnet18"):
+    assert {"efficientnet_lite0", "resnet18"} < set(backbone_names())
+    with pytest.raises(UnknownNameError, match="vgg.*known: .*efficientnet_lite0, .*resnet18"):
         load_backbone("vgg")
-    with pytest.raises(UnknownNameError, match="stride5.*known: final, stride16"):
+    with pytest.raises(UnknownNameError, match="stride5.*known: final, .*stride16"):
         load_backbone("resnet18", ("stride5",))

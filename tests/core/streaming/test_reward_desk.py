@@ -104,5 +104,5 @@ def test_the_human_reward_of_a_robot_without_truth_is_refused() -> None:
 
 
 def test_an_unknown_reward_kind_names_the_known() -> None:
-    with pytest.raises(UnknownNameError, match="known: ot, scalar"):
+    with pytest.raises(UnknownNameError, match="known: clock, goal, ot, scalar"):
         RewardRule("magic")  # type: ignore[arg-type]

@@ -1,0 +1,95 @@
+"""A backbone of which a part is trained here, and how its weights get to disk."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import save_file
+from torch import nn
+
+from rapl_core.errors import CorruptFileError
+from rapl_core.representations.backbone_spec import Stage
+from rapl_core.representations.backbones import load_network, stage_index, stage_maps
+from rapl_core.representations.extractor import FeatureExtractor, make_extractor
+from rapl_core.representations.preprocessing import preprocess
+from rapl_core.representations.weights import file_sha256
+
+
+class TrainableBackbone(nn.Module):
+    """Pictures to features, with gradients for the last block that the recipe reads.
+
+    Batch statistics stay frozen: batches here are frames of few videos.
+    """
+
+    def __init__(self, start: FeatureExtractor, weights: Path | None = None) -> None:
+        """
+        :param start: what the features are read as before training; its parts are kept.
+        :param weights: those of ``start``.
+        :raises UnknownNameError, WeightsError: from loading the backbone.
+        """
+        super().__init__()
+        name, recipe = start.backbone.spec.name, start.recipe
+        self.spec, self.network, _ = load_network(name, weights)
+        self.recipe, self.preprocessing = recipe, start.preprocessing
+        self.pools = start.pools
+        self._indices = [stage_index(self.network, name, s) for s in recipe.stages if s != "final"]
+        self.network.requires_grad_(False)
+        for module in last_block(self.network, name, recipe.stages):
+            module.requires_grad_(True)
+        self.train(False)
+
+    def train(self, mode: bool = True) -> "TrainableBackbone":
+        """Stay in evaluation mode."""
+        del mode
+        return super().train(False)
+
+    def free_parameters(self) -> list[nn.Parameter]:
+        """What is trained."""
+        return [p for p in self.network.parameters() if p.requires_grad]
+
+    def forward(self, frames: NDArray[np.uint8]) -> torch.Tensor:
+        """(N, H, W, 3) uint8 -> (N, F)."""
+        x = preprocess(frames, self.preprocessing)
+        maps = stage_maps(self.network, self.spec, self.recipe.stages, self._indices, x)
+        of_stages = (m for m in maps for _ in self.recipe.poolings)
+        return torch.cat([pool(m) for pool, m in zip(self.pools, of_stages, strict=True)], dim=1)
+
+    def trained(self, folder: Path) -> FeatureExtractor:
+        """Write the whole network and read it as the frozen part of an encoder."""
+        file = save_network(self.network, self.spec.name, folder)
+        extractor = make_extractor(self.spec.name, self.recipe, file)
+        extractor.pools.load_state_dict(self.pools.state_dict())
+        return extractor
+
+
+def last_block(network: Any, name: str, stages: tuple[Stage, ...]) -> list[nn.Module]:
+    """The modules behind the deepest stage that is read, and what follows up to it."""
+    if "final" not in stages:
+        index = max(stage_index(network, name, stage) for stage in stages)
+        return [network.get_submodule(network.feature_info[index]["module"])]
+    deepest = [network.get_submodule(network.feature_info[-1]["module"])]
+    if hasattr(network, "blocks"):  # a transformer, or an EfficientNet with its blocks in stages
+        deepest = [network.blocks[-1]]
+    after = ("conv_head", "bn2", "norm")
+    return deepest + [getattr(network, part) for part in after if hasattr(network, part)]
+
+
+def save_network(network: nn.Module, name: str, folder: Path) -> Path:
+    """Write weights to ``folder/<name>-<start of SHA-256>.safetensors``, atomically.
+
+    :raises CorruptFileError: if it cannot be written.
+    """
+    folder = Path(folder)
+    beside = folder / f".{name}.{os.getpid()}.partial"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        save_file({k: v.detach().contiguous() for k, v in network.state_dict().items()}, beside)
+        path = folder / f"{name}-{file_sha256(beside)[:16]}.safetensors"
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise CorruptFileError(f"cannot write weights to {folder}: {error}") from error
+    return path
