@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rapl_core.errors import RaplError
 
@@ -32,18 +33,45 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--pictures", type=Path, default=Path("docs/pictures/gallery"), help="(%(default)s)"
     )
     gallery.add_argument("--videos", type=Path, default=Path("runs/gallery"), help="(%(default)s)")
+    _add_rankings(commands)
     arguments = parser.parse_args(argv)
     try:
         if arguments.command == "list":
             _list()
         elif arguments.command == "gallery":
             _gallery(arguments.tasks, arguments.pictures, arguments.videos)
+        elif arguments.command == "rankings":
+            _rankings(arguments)
         else:
             _report(arguments.run, arguments.oracle)
     except RaplError as error:
         print(f"rapl: {error}", file=sys.stderr)
         return 1
     return 0
+
+
+def _add_rankings(commands: Any) -> None:
+    rankings = commands.add_parser("rankings", help="hand on a run's rankings, or take some in")
+    verbs = rankings.add_subparsers(dest="verb", required=True)
+    out = verbs.add_parser("export", help="write all rankings, corrected and withdrawn ones too")
+    out.add_argument("run", type=Path, help="run folder")
+    out.add_argument("out", type=Path, help="folder to write to")
+    out.add_argument("--format", choices=("jsonl", "parquet"), default="jsonl")
+    out.add_argument("--bags", action="store_true", help="with the bags of the ranked episodes")
+    into = verbs.add_parser("import", help="add the rankings that a run lacks, and their bags")
+    into.add_argument("run", type=Path, help="run folder")
+    into.add_argument("source", type=Path, help="folder of an export, or a .jsonl or .parquet file")
+
+
+def _rankings(arguments: argparse.Namespace) -> None:
+    from rapl_core.preferences.package import export_package, import_package
+
+    if arguments.verb == "export":
+        done = export_package(arguments.run, arguments.out, arguments.format, arguments.bags)
+        print(f"{done.path}: {done.rankings} rankings, {done.episodes} bags copied")
+    else:
+        done = import_package(arguments.run, arguments.source)
+        print(f"{arguments.run}: {done.rankings} rankings added, {done.episodes} bags copied")
 
 
 def _list() -> None:

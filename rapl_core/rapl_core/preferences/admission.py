@@ -35,7 +35,7 @@ def check_correction(ranking: Ranking, ledger: Ledger) -> None:
     if held.annotator != ranking.annotator:
         raise RankingError(
             f"{what} of {ranking.annotator!r} replaces {ranking.replaces}, "
-            f"which is {held.annotator!r}'s"
+            f"which is of {held.annotator!r}"
         )
     if set(held.episode_ids) != set(ranking.episode_ids):
         raise RankingError(
@@ -67,7 +67,7 @@ def check_answer(ranking: Ranking, ledger: Ledger, now_ns: int) -> None:
         )
     if query.annotator != ranking.annotator:
         raise RankingError(
-            f"{what} is {ranking.annotator!r}'s, its query {query.query_id} was leased to "
+            f"{what} is of {ranking.annotator!r}, its query {query.query_id} was leased to "
             f"{query.annotator!r}"
         )
     answer = ledger.answer_to(query.query_id)

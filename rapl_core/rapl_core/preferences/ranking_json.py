@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import asdict, fields
+from typing import Any
 
 from rapl_core.errors import RankingError, UnknownNameError
 from rapl_core.types import Ranking
@@ -12,10 +13,15 @@ _FIELDS = frozenset(field.name for field in fields(Ranking))
 
 def ranking_to_json(ranking: Ranking) -> str:
     """Return one line of JSON, the same for equal rankings; an unknown response time is null."""
+    return json.dumps(ranking_to_values(ranking), sort_keys=True, ensure_ascii=False)
+
+
+def ranking_to_values(ranking: Ranking) -> dict[str, Any]:
+    """Return its fields by name; an unknown response time is None."""
     values = asdict(ranking)
     if math.isnan(ranking.response_s):
         values["response_s"] = None
-    return json.dumps(values, sort_keys=True, ensure_ascii=False)
+    return values
 
 
 def ranking_from_json(text: str) -> Ranking:
@@ -27,6 +33,14 @@ def ranking_from_json(text: str) -> Ranking:
         values = json.loads(text)
     except json.JSONDecodeError as error:
         raise RankingError(f"not JSON: {error}") from error
+    return ranking_from_values(values)
+
+
+def ranking_from_values(values: Any) -> Ranking:
+    """Return the ranking whose fields are given by name.
+
+    :raises RankingError: if it is none; says which field is wrong.
+    """
     if not isinstance(values, dict):
         raise RankingError(f"a ranking is a JSON object, got {type(values).__name__}")
     unknown = sorted(set(values) - _FIELDS)

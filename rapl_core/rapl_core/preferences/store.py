@@ -1,23 +1,22 @@
 """The rankings of a run, in one SQLite file that several processes may write."""
 
 import sqlite3
-import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
-from rapl_core.errors import CorruptFileError, RankingError
+from rapl_core.errors import RankingError
 from rapl_core.preferences.admission import check_answer, check_correction, check_known
 from rapl_core.preferences.ledger import Ledger
 from rapl_core.preferences.query import Query, QueryPurpose
-from rapl_core.preferences.ranking_json import ranking_from_json, ranking_to_json
-from rapl_core.preferences.schema import open_database
+from rapl_core.preferences.ranking_json import ranking_to_json
+from rapl_core.preferences.shared_file import SharedFile
 from rapl_core.types import Ranking
 
 UNDO_LEASE_S = 600.0
@@ -55,10 +54,7 @@ class RankingStore:
     def __init__(self, path: Path | str, known_episode: Callable[[str], bool] | None = None):
         self.path = Path(path)
         self._known_episode = known_episode
-        self._lock = threading.RLock()
-        self._connection = open_database(self.path)
-        self._ledger = Ledger()
-        self._read = {"rankings": 0, "queries": 0, "leases": 0}
+        self._file = SharedFile(self.path)
 
     # Answers
 
@@ -76,7 +72,7 @@ class RankingStore:
         return self._add(ranking, check_query=False)
 
     def _add(self, ranking: Ranking, check_query: bool) -> int:
-        with self._transaction() as (rows, ledger):
+        def store(rows: sqlite3.Connection, ledger: Ledger) -> int:
             held = ledger.ranking(ranking.ranking_id)
             if held is None:
                 what = f"ranking {ranking.ranking_id}"
@@ -93,6 +89,8 @@ class RankingStore:
                 )
             return len(ledger.rankings)
 
+        return self._file.commit(store)
+
     def undo(
         self,
         annotator: str,
@@ -107,7 +105,8 @@ class RankingStore:
         :raises RankingError: if there is none, it is another person's, or was replaced already.
         """
         now = time.time_ns()
-        with self._transaction() as (rows, ledger):
+
+        def take_back(rows: sqlite3.Connection, ledger: Ledger) -> Undone:
             earlier = ledger.ranking(withdrawal_id)
             if earlier is not None:
                 return _undone_before(ledger, earlier, annotator)
@@ -124,6 +123,8 @@ class RankingStore:
             query = replace(ledger.query(target.query_id), expires_ns=expires_ns)
             _insert_lease(rows, query)
             return Undone(target, query)
+
+        return self._file.commit(take_back)
 
     def all(
         self, annotator: str | None = None, offset: int = 0, limit: int | None = None
@@ -172,7 +173,8 @@ class RankingStore:
         :param choose: sees the ledger and says what to ask, or which query to lease again. Others
             wait for it, in other processes too: it must be quick.
         """
-        with self._transaction() as (rows, ledger):
+
+        def hand_out(rows: sqlite3.Connection, ledger: Ledger) -> Query:
             chosen = choose(ledger)
             now = time.time_ns()
             expires_ns = now + round(duration_s * 1e9)
@@ -191,7 +193,10 @@ class RankingStore:
                 check_known(query.episode_ids, self._known_episode, f"query {query.query_id}")
                 _insert_query(rows, query)
             _insert_lease(rows, query)
-        return query
+            return query
+
+        # A query that is lost with the power is asked again; its answer is not yet there to lose.
+        return self._file.commit(hand_out, durable=False)
 
     def query(self, query_id: str) -> Query:
         """Return a query that was handed out.
@@ -208,17 +213,13 @@ class RankingStore:
 
     # The file
 
-    @contextmanager
-    def reading(self) -> Iterator[Ledger]:
+    def reading(self) -> AbstractContextManager[Ledger]:
         """Hold the ledger, up to date with what any process has stored; other threads wait."""
-        with self._guarded() as rows:
-            self._catch_up(rows)
-            yield self._ledger
+        return self._file.reading()
 
     def close(self) -> None:
         """Close the file; the store is of no use afterwards."""
-        with self._lock:
-            self._connection.close()
+        self._file.close()
 
     def __enter__(self) -> Self:
         return self
@@ -231,57 +232,6 @@ class RankingStore:
     ) -> None:
         self.close()
 
-    @contextmanager
-    def _transaction(self) -> Iterator[tuple[sqlite3.Connection, Ledger]]:
-        """Hold the write lock; commit at the end, roll back on an error.
-
-        The ledger shows what was committed before: own rows enter it at the next reading.
-        """
-        with self._guarded() as rows:
-            rows.execute("BEGIN IMMEDIATE")
-            try:
-                self._catch_up(rows)
-                yield rows, self._ledger
-            except BaseException:
-                rows.execute("ROLLBACK")
-                raise
-            rows.execute("COMMIT")
-
-    @contextmanager
-    def _guarded(self) -> Iterator[sqlite3.Connection]:
-        """Hold the connection; what SQLite reports becomes an error that names the file."""
-        with self._lock:
-            try:
-                yield self._connection
-            except sqlite3.OperationalError as error:
-                raise RankingError(f"the ranking store {self.path} failed: {error}") from error
-            except sqlite3.ProgrammingError as error:
-                raise RankingError(f"the ranking store {self.path} is closed") from error
-            except sqlite3.DatabaseError as error:
-                raise CorruptFileError(f"{self.path} is damaged: {error}") from error
-
-    def _catch_up(self, rows: sqlite3.Connection) -> None:
-        for number, content in self._new(rows, "rankings", "content"):
-            self._ledger.add_ranking(ranking_from_json(content))
-            self._read["rankings"] = number
-        columns = "query_id, episode_ids, annotator, strategy, created_ns, purpose"
-        for number, *values in self._new(rows, "queries", columns):
-            query_id, episode_ids, annotator, strategy, created_ns, purpose = values
-            videos = tuple(episode_ids.split(" "))
-            query = Query(query_id, videos, annotator, strategy, created_ns, 0, purpose)
-            self._ledger.add_query(query)
-            self._read["queries"] = number
-        for number, query_id, expires_ns in self._new(rows, "leases", "query_id, expires_ns"):
-            self._ledger.add_lease(query_id, expires_ns)
-            self._read["leases"] = number
-
-    def _new(self, rows: sqlite3.Connection, table: str, columns: str) -> list[Any]:
-        """Rows that were not read yet; numbers only grow, also across a crash."""
-        return rows.execute(
-            f"SELECT number, {columns} FROM {table} WHERE number > ? ORDER BY number",
-            (self._read[table],),
-        ).fetchall()
-
 
 def _to_undo(ledger: Ledger, annotator: str, ranking_id: str) -> Ranking:
     if ranking_id:
@@ -290,8 +240,8 @@ def _to_undo(ledger: Ledger, annotator: str, ranking_id: str) -> Ranking:
             raise RankingError(f"nothing to undo: there is no ranking {ranking_id!r}")
         if found.annotator != annotator:
             raise RankingError(
-                f"nothing to undo: ranking {ranking_id} is {found.annotator!r}'s, "
-                f"not {annotator!r}'s"
+                f"nothing to undo: ranking {ranking_id} is of {found.annotator!r}, "
+                f"not of {annotator!r}"
             )
         if found.verdict == "withdrawn":
             raise RankingError(f"nothing to undo: {ranking_id} is itself an undo")

@@ -10,7 +10,7 @@ from threading import Barrier
 
 import pytest
 
-from rapl_core.errors import CorruptFileError, RankingError
+from rapl_core.errors import CorruptFileError, RankingError, UnknownNameError
 from rapl_core.preferences import RankingStore, export_jsonl, import_jsonl, read_jsonl
 from rapl_core.types import Ranking
 
@@ -78,11 +78,79 @@ def test_a_correction_is_a_new_row_and_hides_the_old_one(store: RankingStore) ->
     assert [r.ranking_id for r in store.effective()] == ["r3"]
 
 
+def test_a_row_is_replaced_once_and_only_by_its_own_videos(store: RankingStore) -> None:
+    store.add(ranking("r1"))
+    store.add(ranking("r2", replaces="r1"))
+    with pytest.raises(RankingError, match="replaces r1, which r2 has replaced already"):
+        store.add(ranking("r3", replaces="r1"))
+    with pytest.raises(RankingError, match="r4 is about a, b, d, the one that it replaces about"):
+        store.add(ranking("r4", replaces="r2", episode_ids=("a", "b", "d")))
+    assert [r.ranking_id for r in store.effective()] == ["r2"]
+
+
+def test_undo_is_a_further_row_and_leases_the_query_again(store: RankingStore) -> None:
+    first = store.lease(("a", "b", "c"), "ada", "uniform", 60)
+    second = store.lease(("b", "c", "d"), "ada", "uniform", 60)
+    store.add(ranking("r1", query_id=first.query_id))
+    store.add(ranking("r2", query_id=second.query_id, episode_ids=("b", "c", "d")))
+    undone = store.undo("ada", "u1")
+    assert undone.ranking.ranking_id == "r2"
+    assert undone.query is not None and undone.query.episode_ids == second.episode_ids
+    assert store.undo("ada", "u1").ranking.ranking_id == "r2", "sent twice, taken back once"
+    assert [r.ranking_id for r in store.effective()] == ["r1"]
+    assert [r.ranking_id for r in store.all()] == ["r1", "r2", "u1"], "nothing is deleted"
+    assert [q.query_id for q in store.open_queries("ada")] == [second.query_id]
+    store.add(ranking("r3", query_id=second.query_id, episode_ids=("b", "c", "d"), ranks=(1, 1, 1)))
+    assert [r.ranking_id for r in store.effective()] == ["r1", "r3"]
+    assert store.undo("ada", "u2", "r1").ranking.ranking_id == "r1", "any one, not the last alone"
+    with RankingStore(store.path) as reopened:
+        assert [r.ranking_id for r in reopened.effective()] == ["r3"]
+        with reopened.reading() as ledger:
+            assert (ledger.given(), ledger.given("ada"), ledger.given("bob")) == (1, 1, 0)
+
+
+def test_an_undo_of_nothing_is_refused_with_the_reason(store: RankingStore) -> None:
+    with pytest.raises(RankingError, match="'ada' has no ranking that counts"):
+        store.undo("ada", "u0")
+    store.add(ranking("r1"))
+    with pytest.raises(RankingError, match="there is no ranking 'r9'"):
+        store.undo("ada", "u0", "r9")
+    with pytest.raises(RankingError, match="r1 is of 'ada', not of 'bob'"):
+        store.undo("bob", "u0", "r1")
+    assert store.undo("ada", "u1").query is None, "it was unasked"
+    with pytest.raises(RankingError, match="u1 is itself an undo"):
+        store.undo("ada", "u2", "u1")
+    with pytest.raises(RankingError, match="replaces r1, which u1 has replaced already"):
+        store.undo("ada", "u2", "r1")
+    with pytest.raises(RankingError, match="r1 is already stored with another content"):
+        store.undo("ada", "r1")
+
+
+def test_a_replayed_lease_and_one_of_somebody_else_are_refused(store: RankingStore) -> None:
+    query = store.lease(("a", "b", "c"), "ada", "uniform", 60)
+    with pytest.raises(RankingError, match="is of 'bob', its query .* was leased to 'ada'"):
+        store.add(ranking("r0", annotator="bob", query_id=query.query_id))
+    store.add(ranking("r1", query_id=query.query_id))
+    with pytest.raises(RankingError, match="is answered already, by ranking r1"):
+        store.add(ranking("r2", query_id=query.query_id))
+    assert store.add(ranking("r1", query_id=query.query_id)) == 1, "the same once more is no replay"
+
+
+def test_a_correction_may_come_after_the_lease(
+    store: RankingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    query = store.lease(("a", "b", "c"), "ada", "uniform", 60)
+    store.add(ranking("r1", query_id=query.query_id))
+    monkeypatch.setattr("time.time_ns", lambda: query.expires_ns + 10**9)
+    store.add(ranking("r2", query_id=query.query_id, replaces="r1", ranks=(1, 2, 3)))
+    assert [r.ranking_id for r in store.effective()] == ["r2"]
+
+
 def test_a_correction_of_nothing_or_of_another_person_is_refused(store: RankingStore) -> None:
     with pytest.raises(RankingError, match="replaces r0, which is not stored"):
         store.add(ranking("r1", replaces="r0"))
     store.add(ranking("r1"))
-    with pytest.raises(RankingError, match="'bob' replaces r1, which is 'ada'"):
+    with pytest.raises(RankingError, match="'bob' replaces r1, which is of 'ada'"):
         store.add(ranking("r2", annotator="bob", replaces="r1"))
 
 
@@ -111,6 +179,14 @@ def test_repeated_episodes_and_wrong_ranks_cannot_be_made() -> None:
         ranking(ranks=(1, 2))
     with pytest.raises(RankingError, match="not within 1..3"):
         ranking(ranks=(2, 3, 4))
+    with pytest.raises(RankingError, match="is skipped and has 3 ranks"):
+        ranking(verdict="skipped")
+    with pytest.raises(UnknownNameError, match="'liked'; known: ranked, skipped"):
+        ranking(verdict="liked")
+    with pytest.raises(RankingError, match="takes back none|withdrawn and names none"):
+        ranking(verdict="withdrawn", ranks=())
+    with pytest.raises(RankingError, match="annotator has more than 64"):
+        ranking(annotator="a" * 65)
 
 
 def test_a_leased_query_is_open_until_it_is_answered(store: RankingStore) -> None:
@@ -156,6 +232,24 @@ def test_threads_and_processes_write_at_the_same_time(tmp_path: Path) -> None:
         assert len({r.ranking_id for r in store.all()}) == 75
 
 
+def test_writers_who_share_a_commit_are_refused_one_by_one(store: RankingStore) -> None:
+    together = Barrier(20)
+
+    def answer(number: int) -> str:
+        together.wait(timeout=30)
+        try:
+            store.add(ranking("the-same" if number % 2 else f"r{number}", ranks=(1, 2, 3)))
+        except RankingError as error:
+            return str(error)
+        return ""
+
+    store.add(ranking("the-same"))
+    with ThreadPoolExecutor(20) as threads:
+        said = list(threads.map(answer, range(20)))
+    assert [bool(text) for text in said] == [number % 2 == 1 for number in range(20)]
+    assert store.count() == 11
+
+
 def test_first_users_may_come_at_the_same_moment(tmp_path: Path) -> None:
     def first_use(number: int, path: Path, together: Barrier) -> int:
         together.wait(timeout=30)
@@ -163,7 +257,7 @@ def test_first_users_may_come_at_the_same_moment(tmp_path: Path) -> None:
             return store.add(ranking(f"r{number}"))
 
     with ThreadPoolExecutor(6) as threads:
-        for attempt in range(25):
+        for attempt in range(10):
             path, together = tmp_path / f"{attempt}.sqlite", Barrier(6)
             counts = threads.map(first_use, range(6), [path] * 6, [together] * 6)
             assert sorted(counts) == [1, 2, 3, 4, 5, 6]
@@ -187,9 +281,8 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
 @pytest.mark.parametrize("damage", ["not a database", "page", "truncated"])
 def test_a_damaged_file_is_named_and_left_as_it_is(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "rankings.sqlite"
-    with RankingStore(path) as store:
-        for number in range(200):
-            store.add(ranking(f"r{number}"))
+    with RankingStore(path) as store, ThreadPoolExecutor(50) as threads:
+        list(threads.map(store.add, [ranking(f"r{number}") for number in range(200)]))
     content = bytearray(path.read_bytes())
     if damage == "not a database":
         content = bytearray(b"ranking,1,2,3\n" * 100)
@@ -201,6 +294,49 @@ def test_a_damaged_file_is_named_and_left_as_it_is(tmp_path: Path, damage: str) 
     with pytest.raises(CorruptFileError, match="rankings.sqlite"):
         RankingStore(path)
     assert path.read_bytes() == content
+
+
+OLD = """
+CREATE TABLE rankings (number INTEGER PRIMARY KEY AUTOINCREMENT, ranking_id TEXT NOT NULL UNIQUE,
+    annotator TEXT NOT NULL, replaces TEXT NOT NULL, content TEXT NOT NULL);
+CREATE INDEX rankings_by_annotator ON rankings (annotator, number);
+CREATE TABLE queries (query_id TEXT PRIMARY KEY, annotator TEXT NOT NULL, strategy TEXT NOT NULL,
+    episode_ids TEXT NOT NULL, created_ns INTEGER NOT NULL, expires_ns INTEGER NOT NULL);
+INSERT INTO rankings VALUES (7, 'r1', 'ada', '', '{"annotator": "ada", "created_ns": 5,
+    "episode_ids": ["a", "b"], "query_id": "q1", "ranking_id": "r1", "ranks": [2, 1],
+    "replaces": "", "response_s": null, "verdict": "ranked"}');
+INSERT INTO queries VALUES ('q1', 'ada', 'uniform', 'a b', 5, 6);
+INSERT INTO queries VALUES ('q2', 'bob', 'uniform', 'b c', 5, 9000000000000000000);
+PRAGMA application_id = 1380012108;
+PRAGMA user_version = 1;
+"""
+
+
+def test_a_store_of_the_first_format_is_migrated_and_loses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "old.sqlite"
+    with sqlite3.connect(path) as connection:
+        connection.executescript(OLD)
+    connection.close()
+    with RankingStore(path) as store:
+        (old,) = store.all()
+        assert (old.ranks, old.query_id, old.created_ns) == ((2, 1), "q1", 5)
+        assert store.add(old) == 1, "sent again, it is still the same"
+        assert store.query("q1").expires_ns == 6 and store.query("q2").purpose == "new"
+        assert [q.query_id for q in store.open_queries()] == ["q2"]
+        answer = ranking("r2", annotator="bob", query_id="q2", episode_ids=("b", "c"), ranks=(1, 2))
+        assert store.add(answer) == 2
+    with RankingStore(path) as again:
+        assert [r.ranking_id for r in again.all()] == ["r1", "r2"]
+
+
+def test_a_store_of_a_later_program_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "later.sqlite"
+    RankingStore(path).close()
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA user_version = 9")
+    connection.close()
+    with pytest.raises(CorruptFileError, match="has the format 9, expected 1 to 2"):
+        RankingStore(path)
 
 
 def test_a_database_of_another_program_is_refused(tmp_path: Path) -> None:
