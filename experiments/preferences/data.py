@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rapl_core.preferences.wishes import wish_rewards
-from rapl_core.representations import FeatureStore, Preset, make_extractor
+from rapl_core.representations import FeatureStore, Preset, find_parts, make_extractor
+from rapl_core.representations.extractor import FeatureExtractor
 from rapl_core.representations.registry import DEFAULT_BACKBONE
 from rapl_core.tasks import get_task
 from rapl_core.types import Episode
@@ -39,21 +40,34 @@ class Videos:
         return {name: float(values.sum()) for name, values in self.rewards[wish].items()}
 
 
-def load(seed: int, stream: str, preset: Preset, work: Path, wishes: tuple[str, ...]) -> Videos:
-    """Return the videos of a seed.
+def load(seed: int, preset: Preset, work: Path, wishes: tuple[str, ...]) -> tuple[Videos, Videos]:
+    """Return the pool and the test videos of a seed; what the features are is found in the pool.
 
-    :param stream: ``demonstrate`` (the pool) or ``test``.
     :param work: where videos and features are kept.
     """
-    videos = make_videos(seed, stream, POOL if stream == "demonstrate" else TEST, work)
+    pool = make_videos(seed, "demonstrate", POOL, work)
+    extractor = make_extractor(DEFAULT_BACKBONE, preset.recipe)
+    frames = {video.episode_id: video.frames[1:] for video in pool}
+    find_parts(extractor, list(frames), frames.__getitem__, seed)
+    found = _videos(seed, pool, extractor, work, wishes)
+    del pool, frames
+    return found, _videos(seed, make_videos(seed, "test", TEST, work), extractor, work, wishes)
+
+
+def _videos(
+    seed: int,
+    videos: list[Episode],
+    extractor: FeatureExtractor,
+    work: Path,
+    wishes: tuple[str, ...],
+) -> Videos:
     names = get_task(TASK).state_names
     rewards = {wish: {v.episode_id: _felt(wish, v, names)[1:] for v in videos} for wish in wishes}
-    extractor = make_extractor(DEFAULT_BACKBONE, preset.recipe)
     store = FeatureStore(extractor, work / "features", precision="bfloat16")
     for number, video in enumerate(videos):
         store.add_episode(video)
-        if store.computed and number % 50 == 0:
-            print(f"seed {seed}, {stream}: features of {number} of {len(videos)}", flush=True)
+        if store.computed and number % 100 == 0:
+            print(f"seed {seed}: features of {number} of {len(videos)}", flush=True)
     return Videos({name: store[name] for name in store}, rewards)
 
 

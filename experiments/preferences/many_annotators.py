@@ -170,23 +170,24 @@ def judge(crowd: Crowd, wall_s: float) -> Outcome:
     )
 
 
-def survive_kill(path: Path, annotators: int, seconds: float) -> dict[str, Any]:
-    """Kill a crowd in the middle of its work and look for all that it was told is stored."""
+def survive_kill(path: Path, annotators: int, after: int) -> dict[str, Any]:
+    """Kill a crowd in the middle of its work and look for all that it was told is stored.
+
+    :param after: answers that must have been confirmed before.
+    """
     import subprocess
 
     command = [sys.executable, __file__, "--victim", str(path), "--annotators", str(annotators)]
     victim = subprocess.Popen(command, stdout=subprocess.PIPE)
     assert victim.stdout is not None
-    confirmed = [victim.stdout.readline().decode().strip()]  # it is at work now
-    killer = threading.Timer(seconds, lambda: victim.send_signal(signal.SIGKILL))
-    killer.start()
+    confirmed = [victim.stdout.readline().decode().strip() for _ in range(after)]
+    victim.send_signal(signal.SIGKILL)
     confirmed += [line.decode().strip() for line in victim.stdout if line.endswith(b"\n")]
     victim.wait(timeout=60)
     with RankingStore(path) as store:
         stored = [ranking.ranking_id for ranking in store.all()]
     return {
         "annotators": annotators,
-        "killed_after_s": seconds,
         "confirmed": len(confirmed),
         "stored": len(stored),
         "lost": len(set(confirmed) - set(stored)),
@@ -240,7 +241,7 @@ def main() -> None:
                 crowd = Crowd(store, annotators, pace_s)
                 found[title] = asdict(judge(crowd, crowd.rank(seconds)))
             print(title, json.dumps(found[title], indent=1), *crowd.errors[:3], flush=True)
-        found["killed"] = survive_kill(folder / "killed.sqlite", options.annotators, 10.0)
+        found["killed"] = survive_kill(folder / "killed.sqlite", options.annotators, 1000)
         print("killed", found["killed"])
     options.results.mkdir(parents=True, exist_ok=True)
     text = json.dumps(found, indent=1, default=str)

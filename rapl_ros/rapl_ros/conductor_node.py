@@ -44,7 +44,7 @@ class ConductorNode(RaplNode):
     """Runs the stages in order and goes on where an earlier process stopped.
 
     Publishes ``progress`` (rapl_msgs/Progress). Calls ``demonstrator/collect``,
-    ``preference/list_rankings``, ``preference/get_progress``, ``preference/align``,
+    ``preference/get_progress``, ``preference/align``,
     ``encoder/set_parameters``, ``simulated_human/set_parameters``, ``learner/train`` and
     ``learner/evaluate``. The process ends with 0 after the last stage, with 1 when a stage fails
     for good.

@@ -1,13 +1,14 @@
 """The one table of the nodes: run_all's supervisor and the launch files both read it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from rapl_core.analysis import provenance
+from rapl_core.preferences.simulated_human import HumanKnobs, knobs_from
 from rapl_core.tasks import get_task
 from rapl_ros.run_config import RunConfig
 from rapl_ros.supervisor import ProcessSpec
@@ -34,6 +35,11 @@ class NodeEntry:
     """Whether a run starts it unasked."""
 
 
+KNOBS = tuple(knob.name for knob in fields(HumanKnobs))
+
+STRATEGY_PACE_S = 0.3
+"""Between two answers of simulated people where a strategy learns from them."""
+
 NODES: tuple[NodeEntry, ...] = (
     NodeEntry("simulator", "rapl_ros.simulator_node", ("task", "worlds", "clock_file")),
     NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder", "weights"), imports_torch=True),
@@ -52,13 +58,17 @@ NODES: tuple[NodeEntry, ...] = (
             "weights",
             "tcc_iterations",
             "masked_iterations",
-        ),
+            "strategy",
+            "preset",
+            "noise",
+            "groups",
+        ),  # fmt: skip
         imports_torch=True,
     ),
     NodeEntry(
         "simulated_human",
         "rapl_ros.simulated_human_node",
-        ("run_folder", "seed"),
+        ("run_folder", "seed", "people", "pace_s", *KNOBS),
         is_needed=lambda config: not config.asks_people,
     ),
     NodeEntry("demonstrator", "rapl_ros.demonstrator_node"),
@@ -117,6 +127,13 @@ def run_parameters(
         "weights": str(Path(config.weights).resolve()) if config.weights else "",
         "tcc_iterations": config.tcc_iterations,
         "masked_iterations": config.masked_iterations,
+        "strategy": config.strategy,
+        "preset": config.preset,
+        "noise": config.noise,
+        "groups": config.groups,
+        "people": config.people,
+        "pace_s": 0.0 if config.strategy == "uniform" else STRATEGY_PACE_S,
+        **_knobs(config.knobs),
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",
         # Longer than ot_reward waits for an encoder that has fallen behind.
         "reward_deadline_s": 60.0,
@@ -131,7 +148,13 @@ def parameters_of(
     entry: NodeEntry, values: Mapping[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
     """Return the parameters of one node."""
-    return {name: values[name] for name in entry.parameters}
+    return {name: values[name] for name in entry.parameters if name in values}
+
+
+def _knobs(text: str) -> dict[str, ParameterValue]:
+    """The knobs that are not at their default."""
+    asked, default = asdict(knobs_from(text)), asdict(HumanKnobs())
+    return {name: value for name, value in asked.items() if value != default[name]}
 
 
 def process_specs(config: RunConfig, folder: Path, web_host: str = "") -> list[ProcessSpec]:

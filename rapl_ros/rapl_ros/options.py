@@ -4,9 +4,13 @@ import argparse
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args
 
 from rapl_core.errors import RaplError, UnknownNameError
+from rapl_core.preferences.simulated_human import HumanKnobs, knobs_from
+from rapl_core.preferences.strategies import STRATEGIES
+from rapl_core.preferences.wishes import persons_from, wish_names
+from rapl_core.types import Noise
 from rapl_ros.run_config import CONFIG_FILE, RESULTS_FILE, RunConfig, load_config
 
 REWARDS = {
@@ -31,6 +35,8 @@ HUMANS = {
     "web": "people rank on a page in the browser; the run waits for them",
 }
 NEVER_FOR_LEARNING = {"supervised_probe"}
+NOISES = get_args(Noise)
+KNOBS = tuple(knob.name for knob in fields(HumanKnobs))
 PRESETS = {
     "tuned": "our best settings, which depart from the paper where docs/paper_notes.md says so",
     "paper": "the paper's text; what it leaves open is in docs/paper_notes.md",
@@ -110,6 +116,36 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         metavar="HOST",
         help="show the page, on which people watch and rank; HOST other than this machine's own "
         f"address ({WEB_HOST}) lets others in who have the token that is printed",
+    )
+    parser.add_argument(
+        "--strategy",
+        default=None,
+        metavar="NAME",
+        help=f"which videos to ask about next: {' | '.join(STRATEGIES)} (uniform)",
+    )
+    parser.add_argument(
+        "--noise",
+        default=None,
+        metavar="NAME",
+        help=f"what to make of wrong answers: {' | '.join(NOISES)} (plain)",
+    )
+    parser.add_argument(
+        "--groups",
+        type=_whole(0, 4),
+        metavar="N",
+        help="representations, one a group of people who agree; 0: as many as needed (1)",
+    )
+    parser.add_argument(
+        "--people",
+        default=None,
+        metavar="NAME:WISH,...",
+        help=f"simulated people; wishes: {' | '.join(wish_names())} (one who wants the task)",
+    )
+    parser.add_argument(
+        "--knobs",
+        default=None,
+        metavar="KNOB=VALUE,...",
+        help=f"how simulated people err: {' | '.join(KNOBS)} (never)",
     )
     parser.add_argument(
         "--triplets",
@@ -213,6 +249,9 @@ def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> R
         _check(config.backbone, "backbone", backbone_names())
     if config.weights and not Path(config.weights).exists():
         raise RaplError(f"no weights at {config.weights}; give a file, or a folder of them")
+    _check(config.strategy, "query strategy", STRATEGIES)
+    _check(config.noise, "treatment of noise", NOISES)
+    persons_from(config.people), knobs_from(config.knobs)  # refused here rather than in a node
     if config.encoder:
         from rapl_core.representations import encoder_names  # imports torch: seconds
 

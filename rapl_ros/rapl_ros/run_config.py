@@ -54,6 +54,16 @@ class RunConfig:
     quick: bool = False
     human: str = "simulated"
     """Who ranks: simulated, or people on the page (web)."""
+    strategy: str = "uniform"
+    """Which videos are asked about next."""
+    noise: str = "plain"
+    """What alignment makes of wrong answers."""
+    groups: int = 1
+    """Representations to learn, one a group of annotators who agree; 0: as many as needed."""
+    people: str = ""
+    """Simulated people and their wishes, name:wish,name:wish; empty: one who wants the task."""
+    knobs: str = ""
+    """How simulated people err, e.g. beta=2,mistakes=0.1; empty: never."""
 
     @property
     def uses_rankings(self) -> bool:

@@ -14,7 +14,7 @@ from rapl_msgs.srv import GetProgress, GetQuery, ListRankings, SubmitRanking
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError
 from rapl_core.preferences import Answer, HumanKnobs, SimulatedHuman
-from rapl_core.preferences.wishes import Person, wish_rewards
+from rapl_core.preferences.wishes import Person, persons_from, wish_rewards
 from rapl_core.tasks import get_task
 from rapl_core.types import Ranking
 from rapl_ros import conversions, qos, topics
@@ -34,9 +34,9 @@ class SimulatedHumanConfig(HumanKnobs):
     """Rankings to give in all, those of earlier starts included. May change at run time."""
     annotator: str = "simulated"
     """Name under which the rankings are stored."""
-    people: tuple[str, ...] = ()
-    """Several people instead of one, who take turns: name:wish, e.g. ann:task. Wishes: task,
-    opposite, progress, apart."""
+    people: str = ""
+    """Several people instead of one, who take turns, as name:wish,name:wish, e.g.
+    ann:task,ben:opposite. Wishes: task, opposite, progress, apart."""
     run_folder: Path = Path(".")
     """Run folder: returns of episodes that were recorded before this node began to listen."""
     seed: int = field(default=0, metadata={"minimum": 0})
@@ -51,9 +51,9 @@ class SimulatedHumanConfig(HumanKnobs):
     def persons(self) -> tuple[Person, ...]:
         """Who ranks.
 
-        :raises RaplError: if an entry of `people` is not name:wish or its wish is unknown.
+        :raises RaplError: if a part of `people` is not name:wish or its wish is unknown.
         """
-        return tuple(Person.parse(text) for text in self.people) or (Person(self.annotator),)
+        return persons_from(self.people) or (Person(self.annotator),)
 
 
 class SimulatedHumanNode(RaplNode):
@@ -103,22 +103,27 @@ class SimulatedHumanNode(RaplNode):
             return
         persons = self._wishes.value.persons()
         given = {person: await self._count(person) for person in persons}
+        asked = {person: await self._count(person, effective=False) for person in persons}
         before = sum(given.values())
-        for number in range(before, wanted):
+        while sum(given.values()) < wanted:
             await self._strategy_is_ready()
-            self.heartbeat.report("active", f"{number} of {wanted} rankings")
-            person = min(persons, key=lambda person: given[person])
-            await self._rank_one(person, number)
-            given[person] += 1
+            self.heartbeat.report("active", f"{sum(given.values())} of {wanted} rankings")
+            person = min(persons, key=lambda person: asked[person])
+            given[person] += await self._rank_one(person, sum(asked.values()))
+            asked[person] += 1
             if self._wishes.value.pace_s:
                 await pause(self, self._wishes.value.pace_s)
         if before < wanted:
             self.get_logger().info(f"gave {wanted - before} rankings")
         self.heartbeat.report("waiting", f"done: {wanted} of {wanted} rankings")
 
-    async def _count(self, person: Person) -> int:
-        request = ListRankings.Request(annotator=person.name, limit=1)
-        return int((await call(self, self._list, request)).total)
+    async def _count(self, person: Person, effective: bool = True) -> int:
+        """Rankings of a person that count, or all answers."""
+        if not effective:
+            request = ListRankings.Request(annotator=person.name, limit=1)
+            return int((await call(self, self._list, request)).total)
+        found = await call(self, self._progress, GetProgress.Request(annotator=person.name))
+        return sum(int(row.ranked) for row in found.annotators)
 
     async def _strategy_is_ready(self) -> None:
         """Wait while the preference node would ask uniformly only because it is not ready."""
@@ -129,7 +134,8 @@ class SimulatedHumanNode(RaplNode):
             self.heartbeat.report("waiting", f"{progress.strategy}: {progress.strategy_detail}")
             await pause(self, RETRY_S)
 
-    async def _rank_one(self, person: Person, number: int) -> None:
+    async def _rank_one(self, person: Person, number: int) -> int:
+        """Answer one query; returns how many rankings that makes: none if it is skipped."""
         asked = await call(self, self._get_query, GetQuery.Request(annotator=person.name))
         if not asked.success:
             raise RaplError(asked.message)
@@ -151,6 +157,7 @@ class SimulatedHumanNode(RaplNode):
         stored = await call(self, self._submit, request)
         if not stored.success:
             raise RaplError(stored.message)
+        return int(answer.verdict == "ranked")
 
     def _answer(self, query: Query, person: Person, number: int) -> Answer:
         human = SimulatedHuman(

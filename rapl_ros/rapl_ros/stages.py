@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rapl_msgs.action import Align, Collect, Evaluate, Train
-from rapl_msgs.srv import GetProgress, ListRankings
+from rapl_msgs.srv import GetProgress
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.tasks import get_task
@@ -62,9 +62,6 @@ class StageContext:
         self.align = port(Align, topics.ALIGN, topics.PREFERENCE)
         self.train = port(Train, topics.TRAIN, topics.LEARNER)
         self.evaluate = port(Evaluate, topics.EVALUATE, topics.LEARNER)
-        self.rankings = node.create_client(
-            ListRankings, topics.of_node(topics.LIST_RANKINGS, topics.PREFERENCE)
-        )
         self.progress = node.create_client(
             GetProgress, topics.of_node(topics.GET_PROGRESS, topics.PREFERENCE)
         )
@@ -121,10 +118,11 @@ async def rank(context: StageContext) -> Result:
         if human.incarnation != asked:  # a human that restarted has forgotten how many are wanted
             await context.human.set("rankings", wanted, HUMAN_DEADLINE_S)
             asked = human.incarnation
-        response = await call(context.node, context.rankings, ListRankings.Request(limit=1))
-        context.show(min(response.total, wanted), wanted, "rankings")
-        if response.total >= wanted:
-            return {"rankings": int(response.total)}
+        response = await call(context.node, context.progress, GetProgress.Request())
+        lack = human.detail if human.status == "waiting" and "until" in human.detail else ""
+        context.show(min(response.given, wanted), wanted, "rankings", lack)
+        if response.given >= wanted:
+            return {"rankings": int(response.given)}
         await pause(context.node, 0.2)
 
 
@@ -196,6 +194,7 @@ async def align(context: StageContext) -> Result:
         "triplets": int(result.triplets),
         "version": result.version,
         "uri": result.uri,
+        "people": result.findings,
     }
 
 

@@ -6,13 +6,13 @@ and equality, carried over from two videos to rankings.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rapl_core.errors import RankingError
+from rapl_core.errors import RankingError, UnknownNameError
 from rapl_core.types import Verdict
 
 MistakeKind = Literal["neighbours", "any"]
@@ -51,10 +51,31 @@ class HumanKnobs:
             value = getattr(self, name)
             if not 0 <= value <= 1:
                 raise RankingError(f"{name} is {value}, expected a number in [0, 1]")
+        if self.mistake_kind not in get_args(MistakeKind):
+            raise UnknownNameError("kind of mistake", self.mistake_kind, get_args(MistakeKind))
         if not self.beta > 0:
             raise RankingError(f"beta is {self.beta}, expected more than 0")
         if not self.equal_threshold >= 0:
             raise RankingError(f"equal_threshold is {self.equal_threshold}, expected 0 or more")
+
+
+def knobs_from(text: str) -> HumanKnobs:
+    """Read ``beta=2,mistakes=0.1``; the empty text is a human who never errs.
+
+    :raises UnknownNameError: naming the known knobs.
+    :raises RankingError: if a value is not what its knob takes.
+    """
+    known = {knob.name: type(getattr(HumanKnobs(), knob.name)) for knob in fields(HumanKnobs)}
+    values: dict[str, Any] = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, _, value = part.partition("=")
+        if name not in known:
+            raise UnknownNameError("knob of the simulated human", name, known)
+        try:
+            values[name] = known[name](value)
+        except ValueError as error:
+            raise RankingError(f"knob {name} is {value!r}, expected a number") from error
+    return HumanKnobs(**values)
 
 
 class SimulatedHuman:

@@ -90,6 +90,18 @@ class Person:
         return cls(name, wish)
 
 
+def persons_from(text: str) -> tuple[Person, ...]:
+    """Read ``name:wish,name:wish``; none from an empty text.
+
+    :raises RankingError: if a part is something else, or a name comes twice.
+    """
+    persons = tuple(Person.parse(part.strip()) for part in text.split(",") if part.strip())
+    names = [person.name for person in persons]
+    if len(set(names)) < len(names):
+        raise RankingError(f"a name comes twice among {', '.join(names)}")
+    return persons
+
+
 def wish_names() -> list[str]:
     """What a simulated person may want."""
     return list(_WISHES)

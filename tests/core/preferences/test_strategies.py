@@ -44,7 +44,8 @@ def test_information_is_nothing_where_all_agree_and_most_where_they_are_sure_and
     assert information(sure)[0] == pytest.approx(0.0)
     assert information(unsure)[0] == pytest.approx(0.0), "an even answer teaches nothing"
     assert information(split)[0] == pytest.approx(np.log(2))
-    assert disagreement(split)[0] == pytest.approx(0.25) > disagreement(unsure)[0]
+    assert disagreement(split)[0] == pytest.approx(0.25)
+    assert disagreement(unsure)[0] == pytest.approx(0.0)
 
 
 def test_the_ensemble_narrows_as_answers_come() -> None:
@@ -88,11 +89,11 @@ def test_coverage_shows_the_corners_first_and_every_video_before_any_twice() -> 
 
 
 def test_choosing_queries_learns_faster_than_chance() -> None:
-    """Mean rank correlation of the learnt utility over six made worlds, after 24 answers."""
+    """Mean rank correlation of the learnt utility over four made worlds, after 24 answers."""
     found = {}
     for strategy in ("uniform", "information", "uncertainty"):
         scores = []
-        for seed in range(6):
+        for seed in range(4):
             rng = np.random.default_rng(seed)
             features, returns = made_videos(120, rng, width=24)
             x, human = summarise(features), SimulatedHuman(rng)
