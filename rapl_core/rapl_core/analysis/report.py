@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from rapl_core.analysis import figures, provenance
+from rapl_core.analysis.annotators import people_of
 from rapl_core.analysis.curves import curve_of, oracle_curve
 from rapl_core.analysis.findings import Findings, find, results
 from rapl_core.analysis.record import RunRecord, pool_composition, read_run
@@ -83,6 +84,7 @@ def _render(
         **_plans(findings, scorer),
         agreement=() if reward == "ground_truth" else findings.agreement,
         arm_share=_arm_words(findings.arm_share) if reward != "ground_truth" else "",
+        people=people_of(record),
         pool=pool,
         pool_figure=figures.bars_figure(
             [b.behaviour for b in pool], [b.videos for b in pool], [b.strength for b in pool]
