@@ -11,7 +11,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Align
-from rapl_msgs.srv import GetQuery, ListRankings, SubmitRanking
+from rapl_msgs.srv import GetProgress, GetQuery, ListRankings, SubmitRanking, Undo
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -63,13 +63,19 @@ class Person:
     def __init__(self, probe: Probe) -> None:
         self.probe = probe
 
-    def ask(self, **request: str) -> GetQuery.Response:
+    def undo(self, **request: str) -> Undo.Response:
+        return self._call(Undo, topics.UNDO, Undo.Request(**request))
+
+    def progress(self, **request: str) -> GetProgress.Response:
+        return self._call(GetProgress, topics.GET_PROGRESS, GetProgress.Request(**request))
+
+    def ask(self, **request: Any) -> GetQuery.Response:
         return self._call(GetQuery, topics.GET_QUERY, GetQuery.Request(**request))
 
     def submit(self, episode_ids: list[str], ranks: list[int], **more: Any) -> Any:
         ranking = wire_msg.Ranking(
             ranking_id=more.pop("ranking_id", uuid.uuid4().hex),
-            annotator="person",
+            annotator=more.pop("annotator", "person"),
             episode_ids=episode_ids,
             ranks=ranks,
             **more,
@@ -152,6 +158,47 @@ def test_a_bad_ranking_is_refused_with_the_reason_and_not_stored(
     stored = person.submit(episode_ids, ranks)
     assert not stored.success and words in stored.message
     assert person.list().total == before
+
+
+def test_a_lease_is_good_for_one_answer_and_an_undo_opens_it_again(person: Person) -> None:
+    asked = person.ask(annotator="person").query
+    shown = list(asked.episode_ids)
+    assert (asked.annotator, asked.purpose) == ("person", "new")
+    before = person.progress()
+    first = person.submit(shown, [1, 2, 3], query_id=asked.query_id, ranking_id="first")
+    assert first.success and first.given == before.given + 1
+    replay = person.submit(shown, [3, 2, 1], query_id=asked.query_id)
+    assert not replay.success and "answered already, by ranking first" in replay.message
+    undone = person.undo(annotator="person", withdrawal_id="taken-back")
+    assert undone.success and undone.ranking.ranking_id == "first"
+    assert list(undone.query.episode_ids) == shown and undone.given == before.given
+    assert person.undo(annotator="person", withdrawal_id="taken-back").success, "sent twice"
+    again = person.ask(annotator="person", resume=True).query
+    assert again.query_id == asked.query_id, "the page was reloaded: the same is asked again"
+    anew = person.submit(shown, [2, 1, 3], query_id=asked.query_id, ranking_id="anew")
+    assert anew.success
+    counted = person.list(annotator="person", effective=True, limit=1000)
+    ids = [ranking.ranking_id for ranking in counted.rankings]
+    assert "anew" in ids and "first" not in ids and "taken-back" not in ids
+    every = [ranking.ranking_id for ranking in person.list(limit=1000).rankings]
+    assert {"first", "taken-back", "anew"} <= set(every), "nothing is deleted"
+
+
+def test_progress_says_how_many_are_needed_and_how_each_annotator_gets_on(person: Person) -> None:
+    value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=1000)
+    request = SetParameters.Request(parameters=[Parameter(name="rankings_wanted", value=value)])
+    service = f"{topics.PREFERENCE}/set_parameters"
+    assert person.probe.call(SetParameters, service, request).results[0].successful
+    videos = ["video-00", "video-01", "video-02"]
+    for name, ranks in (("ada", [1, 2, 3]), ("ada", [1, 3, 2]), ("bob", [3, 2, 1])):
+        assert person.submit(videos, ranks, annotator=name).success
+    progress = person.progress()
+    assert progress.wanted == 1000 and progress.needed == 1000 - progress.given
+    assert progress.videos == VIDEOS and progress.strategy == "uniform"
+    rows = {row.annotator: row for row in progress.annotators}
+    assert rows["ada"].consistency == pytest.approx(2 / 3) and rows["ada"].consistency_pairs == 3
+    assert rows["bob"].agreement_pairs >= 6 and 0 <= rows["bob"].agreement < 0.5
+    assert len(person.progress(annotator="bob").annotators) == 1
 
 
 def test_an_unknown_strategy_names_the_known(person: Person) -> None:
