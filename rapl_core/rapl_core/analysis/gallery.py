@@ -51,27 +51,37 @@ class Pair:
 def film_pair(task: Task) -> Pair:
     """Return the task's telling behaviours from the first start where both are what they are.
 
+    A start from which the preferred one leaves all objects within the picture goes before others.
     Where the telling preferred one never succeeds, another preferred one takes its place.
 
-    :raises RaplError: if no start of :data:`STARTS` shows one succeed, with all objects within the
-        picture at its end, and the disliked one fail.
+    :raises RaplError: if no start of :data:`STARTS` shows one succeed and the disliked one fail.
     """
     simulation = Simulation(task)
     disliked = _telling_first(task, preferred=False)[0]
     try:
         for liked in _telling_first(task, preferred=True):
-            for start in range(STARTS):
-                # in this order: the preferred one's end is looked at
-                failed = not _play(simulation, disliked, start)
-                if failed and _play(simulation, liked, start) and not cut_objects(simulation):
-                    films = [_film(simulation, behaviour, start) for behaviour in (liked, disliked)]
-                    return Pair(task, start, films[0], films[1])
+            start = _find_start(simulation, liked, disliked)
+            if start is not None:
+                films = [_film(simulation, behaviour, start) for behaviour in (liked, disliked)]
+                return Pair(task, start, films[0], films[1])
     finally:
         simulation.close()
     raise RaplError(
-        f"none of {STARTS} starts of {task.name} shows a preferred behaviour succeed within the "
-        f"picture and {disliked.name} fail: look at its scripts"
+        f"none of {STARTS} starts of {task.name} shows a preferred behaviour succeed and "
+        f"{disliked.name} fail: look at its scripts"
     )
+
+
+def _find_start(simulation: Simulation, liked: Behaviour, disliked: Behaviour) -> int | None:
+    second_best = None
+    for start in range(STARTS):
+        # in this order: it is the preferred one's end that is looked at
+        failed = not _play(simulation, disliked, start)
+        if failed and _play(simulation, liked, start):
+            if not cut_objects(simulation):
+                return start
+            second_best = start if second_best is None else second_best
+    return second_best
 
 
 def _telling_first(task: Task, preferred: bool) -> list[Behaviour]:
