@@ -124,7 +124,7 @@ class WebGraph:
         except RaplError as error:
             self._board.align = JobView(state="failed", message=str(error))
             raise
-        self._spawn(lambda: self._follow(handle))
+        self._spawn(self._follow, handle)
         return f"{self._method}, preset {self._preset}, is being trained"
 
     async def swap(self, encoder: str) -> str:
@@ -134,7 +134,7 @@ class WebGraph:
         if not await self._ask(self._encoder_is_there):
             raise unavailable("no_encoder", "The encoder node is not running.")
         self._board.swap = JobView(state="running", message=f"{encoder} is being loaded")
-        self._spawn(lambda: self._set(encoder))
+        self._spawn(self._set, encoder)
         return f"{encoder} is asked for"
 
     async def picture(self) -> bytes | None:
@@ -157,9 +157,11 @@ class WebGraph:
 
     # Crossing over
 
-    def _spawn(self, work: Callable[[], Awaitable[None]]) -> None:
+    def _spawn(self, work: Callable[..., Awaitable[None]], *arguments: Any) -> None:
+        """Have the executor run ``work``, which must be a coroutine function: it would call a
+        lambda and never await what that returns."""
         assert self._node.executor is not None
-        self._node.executor.create_task(work)
+        self._node.executor.create_task(work, *arguments)
 
     async def _ask(self, work: Callable[[], Awaitable[Result]]) -> Result:
         """Have the executor do ``work``."""
@@ -210,7 +212,7 @@ class WebGraph:
 
     def _on_feedback(self, message: Any) -> None:
         feedback = message.feedback
-        if feedback.epochs:
+        if feedback.epochs and self._board.align.state == "running":  # it may overtake the result
             words = f"epoch {feedback.epoch} of {feedback.epochs}"
             share = feedback.epoch / feedback.epochs
             self._board.align = JobView(state="running", share=share, message=words)

@@ -15,6 +15,7 @@ import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis.errors import Unsatisfiable
 from hypothesis.strategies import SearchStrategy
+from ros_harness import NodeProcess
 from schemathesis import GenerationMode
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 from web_system import WebSystem, make_videos, web_system
@@ -141,11 +142,40 @@ def test_buttons_begin_one_thing_at_a_time_and_say_what_became_of_it(
     refused(client.post("api/encoder", json={"encoder": "imagenet"}), 503, "no_encoder")
     assert client.post("api/align", json={}).status_code == 202
     refused(client.post("api/align", json={}), 409, "busy")
-    end = time.monotonic() + 150.0
-    while (job := client.get("api/live").json()["align"])["state"] == "running":
-        assert time.monotonic() < end, job
-        time.sleep(0.3)
+    job = outcome(client, "align")
     assert job["state"] in ("failed", "done") and len(job["message"]) > 10, job
+
+
+@pytest.mark.slow
+def test_swap_puts_an_encoder_to_work_or_says_why_not(
+    client: httpx.Client, system: WebSystem
+) -> None:
+    encoder = NodeProcess(
+        "rapl_ros.encoder_node", system.folder / "encoder.log", run_folder=system.folder
+    )
+    try:
+        end = time.monotonic() + 60.0
+        while (answer := client.post("api/encoder", json={"encoder": "oven"})).is_error:
+            assert refused(answer, 503, "no_encoder") and time.monotonic() < end
+            time.sleep(0.3)
+        refusal = outcome(client, "swap")
+        assert refusal["state"] == "failed" and "imagenet" in refusal["message"]
+        assert client.post("api/encoder", json={"encoder": "imagenet"}).status_code == 202
+        assert outcome(client, "swap") == {
+            "state": "done", "share": None, "message": "imagenet is at work."
+        }  # fmt: skip
+        assert client.get("api/live").json()["encoder"]["name"] == "imagenet"
+    finally:
+        encoder.stop()
+
+
+def outcome(client: httpx.Client, job: str) -> dict[str, Any]:
+    """What became of what a button has begun."""
+    end = time.monotonic() + 150.0
+    while (view := client.get("api/live").json()[job])["state"] == "running":
+        assert time.monotonic() < end, view
+        time.sleep(0.3)
+    return view
 
 
 # What an attacker does
