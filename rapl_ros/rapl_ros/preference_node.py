@@ -86,7 +86,7 @@ class PreferenceNode(RaplNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.PREFERENCE, **options)
-        self._parameters = ConfigParameters(self, PreferenceConfig(), writable=WRITABLE)
+        self._settings = ConfigParameters(self, PreferenceConfig(), writable=WRITABLE)
         folder = self.config.run_folder
         self._episodes = EpisodeStore(folder / "episodes")
         self._store = RankingStore(folder / "rankings.sqlite", self._episodes.__contains__)
@@ -125,7 +125,7 @@ class PreferenceNode(RaplNode):
     @property
     def config(self) -> PreferenceConfig:
         """The parameters as they stand."""
-        return self._parameters.value
+        return self._settings.value
 
     def close(self) -> None:
         """Close the store; an alignment under way leaves nothing behind."""
