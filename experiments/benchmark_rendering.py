@@ -16,10 +16,10 @@ import time
 from pathlib import Path
 from statistics import median
 
-import mujoco
 import numpy as np
 
 from rapl_core.analysis.provenance import commit, machine, versions
+from rapl_core.simulation.meshes import drawn_triangles
 from rapl_core.simulation.simulation import VISUAL_GROUP, Simulation, episode_rng
 from rapl_core.tasks import get_task, task_names
 
@@ -46,14 +46,6 @@ def frames_per_s(simulation: Simulation, frames: int, seed: int) -> tuple[float,
     return frames / wall_s, frames / cpu_s
 
 
-def drawn_triangles(simulation: Simulation) -> int:
-    """Return how many triangles of meshes are drawn."""
-    model = simulation.model
-    is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
-    shown = model.geom_dataid[is_mesh & (model.geom_group <= VISUAL_GROUP)]
-    return int(model.mesh_facenum[shown].sum())
-
-
 def measure(name: str, frames: int, repeats: int) -> dict[str, object]:
     """Return the figures of one task."""
     task = get_task(name)
@@ -67,7 +59,7 @@ def measure(name: str, frames: int, repeats: int) -> dict[str, object]:
             rates[kind].append(frames_per_s(simulation, drawn, repeat))
     row: dict[str, object] = {"task": name}
     for kind, simulation in kinds.items():
-        row[f"{kind}_triangles"] = drawn_triangles(simulation)
+        row[f"{kind}_triangles"] = drawn_triangles(simulation.model, VISUAL_GROUP)
         row[f"{kind}_frames_per_s"] = round(median(wall for wall, _ in rates[kind]), 1)
         row[f"{kind}_frames_per_cpu_s"] = round(median(cpu for _, cpu in rates[kind]), 1)
         simulation.close()

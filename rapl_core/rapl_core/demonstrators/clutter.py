@@ -66,7 +66,7 @@ def only_one(grasper: Grasper, state: State) -> list[Phase]:
 
 def halfway(grasper: Grasper, state: State) -> list[Phase]:
     """Begin as preferred, and stop before the goal."""
-    grasper.depth = float(grasper.rng.uniform(-0.22, -0.05))
+    grasper.depth = float(grasper.rng.uniform(-0.22, -0.09))
     return (push_with_held, line_up)[int(grasper.rng.integers(2))](grasper, state)
 
 

@@ -11,6 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 CACHE_FORMAT = 2
+STUBBORN = 4.0
+"""Times the wanted triangles: above it a mesh counts as one that cannot be simplified as it is."""
+FIRST_CELL, LARGEST_CELL = 0.002, 0.015
+"""m"""
 
 
 def cache_folder() -> Path:
@@ -54,6 +58,16 @@ def decimate_visuals(spec: mujoco.MjSpec, visual_group: int, triangles: int) -> 
             spec.delete(mesh)
 
 
+def drawn_triangles(model: mujoco.MjModel, visual_group: int) -> int:
+    """Return how many triangles of visual meshes are drawn.
+
+    :param visual_group: geom group of the geoms that are only drawn.
+    """
+    is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
+    shown = model.geom_dataid[is_mesh & (model.geom_group == visual_group)]
+    return int(model.mesh_facenum[shown].sum())
+
+
 def _load_meshes(
     spec: mujoco.MjSpec, names: set[str]
 ) -> dict[str, tuple[NDArray[np.float32], NDArray[np.int32]]]:
@@ -74,6 +88,38 @@ def _load_meshes(
 
 
 def _decimated(
+    vertices: NDArray[np.float32], faces: NDArray[np.int32], target: int
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return a mesh of about ``target`` triangles.
+
+    A mesh of many small shells (screws, inner parts) cannot be simplified beyond them: its
+    vertices are merged in ever larger cells before.
+    """
+    low, cell = _simplified(vertices, faces, target), FIRST_CELL
+    while len(low[1]) > STUBBORN * target and cell < LARGEST_CELL:
+        low = _simplified(*_clustered(vertices, faces, cell), target)
+        cell *= 1.5
+    return low
+
+
+def _clustered(
+    vertices: NDArray[np.float32], faces: NDArray[np.int32], cell: float
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the mesh with the vertices of each cubic cell merged into their mean."""
+    _, place = np.unique(np.floor(vertices / cell), axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    counts = np.bincount(place)
+    merged = np.stack(
+        [np.bincount(place, weights=vertices[:, axis]) / counts for axis in range(3)], axis=1
+    )
+    corners = place[faces].astype(np.int32)
+    distinct = (np.diff(np.sort(corners, axis=1), axis=1) > 0).all(axis=1)
+    corners = corners[distinct]
+    _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
+    return merged.astype(np.float32), corners[np.sort(first)]
+
+
+def _simplified(
     vertices: NDArray[np.float32], faces: NDArray[np.int32], target: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     if len(faces) <= target:

@@ -96,7 +96,7 @@ def test_closed_fingers_hold_a_prism_and_carry_it_along(simulation):
     assert state[8] > 0.1
 
 
-def test_the_open_fork_slides_past_a_prism_so_that_it_must_be_held(simulation):
+def test_the_open_fork_slides_past_a_prism_that_it_does_not_hold(simulation):
     simulation.reset(0, episode_rng(0, "test", 0, 0))
     data = simulation.data[0]
     places = [(-0.05, 0.0), (0.1, 0.2), *CUBES]
