@@ -15,8 +15,8 @@ from sensor_msgs.msg import Image
 from rapl_core.errors import RaplError, UnknownNameError
 from rapl_ros import qos, topics
 from rapl_ros.launching import ARGUMENTS, executable_of, plan
-from rapl_ros.node_table import KNOBS, NODES
-from rapl_ros.run_config import load_config
+from rapl_ros.node_table import KNOBS, NODES, parameters_of, run_parameters
+from rapl_ros.run_config import RunConfig, load_config
 
 BRINGUP = Path(__file__).parents[2] / "ros_ws" / "src" / "rapl_bringup"
 
@@ -32,12 +32,21 @@ def test_every_node_that_a_run_needs_is_launched_with_its_parameters(tmp_path: P
     nodes = plan(given(tmp_path, worlds="2", seed="7"))
     entries = [entry for entry in NODES if entry.name != "web"]
     assert [node.name for node in nodes] == [entry.name for entry in entries]
-    for node, entry in zip(nodes, entries, strict=True):
-        # a knob of the simulated human that stands at its default is left to the node
-        assert set(entry.parameters) - set(KNOBS) <= set(node.parameters) <= set(entry.parameters)
+    unset = set(KNOBS)  # of the simulated human: its own defaults hold
+    assert [set(node.parameters) for node in nodes] == [set(e.parameters) - unset for e in entries]
     assert {node.name: node.parameters for node in nodes}["simulator"]["worlds"] == 2
     assert [node.name for node in nodes if node.ends] == ["conductor"]
     assert load_config(tmp_path).seed == 7
+
+
+def test_simulated_people_and_how_they_err_reach_their_node(tmp_path: Path) -> None:
+    config = RunConfig("franka_group", people="ann:task,ben:opposite", knobs="beta=2,skip=0.1")
+    values = run_parameters(config, tmp_path)
+    (human,) = (entry for entry in NODES if entry.name == "simulated_human")
+    given_to_it = parameters_of(human, values)
+    assert given_to_it["people"] == "ann:task,ben:opposite"
+    assert (given_to_it["beta"], given_to_it["skip"]) == (2.0, 0.1)
+    assert not {"myopia", "mistakes"} & set(given_to_it)
 
 
 def test_with_people_there_is_the_page_and_no_simulated_human(tmp_path: Path) -> None:

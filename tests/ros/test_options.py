@@ -123,3 +123,25 @@ def test_the_listing_names_tasks_rewards_and_presets() -> None:
     text = listing({"franka_group": "push two cubes together"})
     for word in ("franka_group", "push two cubes together", "ground_truth", "authors_code"):
         assert word in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--strategy", "luck"], "unknown query strategy 'luck'; known: coverage, information"),
+        (["--noise", "none"], "unknown treatment of noise 'none'; known: estimated, plain"),
+        (["--people", "ann"], "'ann' is no person, expected name:wish"),
+        (["--people", "ann:task,ann:apart"], "a name comes twice"),
+        (["--people", "ann:fame"], "unknown wish 'fame'; known: apart, opposite, progress, task"),
+        (["--knobs", "beta=0"], "beta is 0"),
+        (["--knobs", "luck=1"], "unknown knob of the simulated human 'luck'; known: beta"),
+        (["--knobs", "skip=often"], "knob skip is 'often', expected a number"),
+    ],
+)
+def test_what_people_are_and_how_they_are_asked_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse(["franka_group", *arguments], ["franka_group"], tmp_path)
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err

@@ -171,8 +171,8 @@ def _in_words(
             f"{gain[groups.count - 1]:.0%}."
         )
         said.append(
-            "Each group has a representation of its own; the robot learns from the first, which "
-            "gave the most rankings."
+            "Each group has a representation of its own; the robot learns from that of the first, "
+            "which gave most of the rankings or as many as any other."
             if config.groups != 1
             else "One representation was learnt from all of them, which can please neither; "
             "groups 0 learns one for each."
@@ -183,8 +183,9 @@ def _in_words(
         if lesson.mistakes and not math.isnan(lesson.mistakes.accuracy):
             worst = sorted(lesson.mistakes.by_annotator.items(), key=lambda item: -item[1])[:3]
             rates = ", ".join(f"{name} {rate:.0%}" for name, rate in worst)
+            whose = f" of {_names(lesson.annotators)}" if len(lessons) > 1 else ""
             said.append(
-                f"Estimated share of wrong comparisons: {lesson.mistakes.rate:.0%} "
+                f"Estimated share of wrong comparisons{whose}: {lesson.mistakes.rate:.0%} "
                 f"(most: {rates}); who errs more weighs less."
             )
         elif lesson.mistakes:
