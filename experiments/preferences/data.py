@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rapl_core.preferences.wishes import wish_rewards
 from rapl_core.representations import FeatureStore, Preset, find_parts, make_extractor
-from rapl_core.representations.extractor import FeatureExtractor
+from rapl_core.representations.features import MIRRORED
 from rapl_core.representations.registry import DEFAULT_BACKBONE
 from rapl_core.tasks import get_task
 from rapl_core.types import Episode
@@ -31,9 +31,14 @@ class Videos:
     """Videos of one seed stream."""
 
     features: dict[str, NDArray[np.float32]]
-    """(T, F) by episode id."""
+    """(T, F) by episode id; of a pool also the mirrored twins, where the preset has them."""
     rewards: dict[str, dict[str, NDArray[np.float64]]]
     """By wish and episode id: (T,) what a person of this wish feels."""
+
+    @property
+    def originals(self) -> dict[str, NDArray[np.float32]]:
+        """The videos that there are, without twins."""
+        return {n: f for n, f in self.features.items() if not n.startswith(MIRRORED)}
 
     def returns(self, wish: str = "task") -> dict[str, float]:
         """What each video is worth to a person of this wish."""
@@ -49,21 +54,18 @@ def load(seed: int, preset: Preset, work: Path, wishes: tuple[str, ...]) -> tupl
     extractor = make_extractor(DEFAULT_BACKBONE, preset.recipe)
     frames = {video.episode_id: video.frames[1:] for video in pool}
     find_parts(extractor, list(frames), frames.__getitem__, seed)
-    found = _videos(seed, pool, extractor, work, wishes)
+    store = FeatureStore(extractor, work / "features", precision="bfloat16", mirror=preset.mirror)
+    found = _videos(seed, pool, store, wishes)
     del pool, frames
-    return found, _videos(seed, make_videos(seed, "test", TEST, work), extractor, work, wishes)
+    store = FeatureStore(extractor, work / "features", precision="bfloat16")
+    return found, _videos(seed, make_videos(seed, "test", TEST, work), store, wishes)
 
 
 def _videos(
-    seed: int,
-    videos: list[Episode],
-    extractor: FeatureExtractor,
-    work: Path,
-    wishes: tuple[str, ...],
+    seed: int, videos: list[Episode], store: FeatureStore, wishes: tuple[str, ...]
 ) -> Videos:
     names = get_task(TASK).state_names
     rewards = {wish: {v.episode_id: _felt(wish, v, names)[1:] for v in videos} for wish in wishes}
-    store = FeatureStore(extractor, work / "features", precision="bfloat16")
     for number, video in enumerate(videos):
         store.add_episode(video)
         if store.computed and number % 100 == 0:

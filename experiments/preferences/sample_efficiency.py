@@ -72,7 +72,7 @@ class Seed:
     def __init__(self, seed: int, preset: Preset, work: Path) -> None:
         self.seed, self.preset = seed, preset
         self.pool, self.test = load(seed, preset, work, ("task", "opposite"))
-        self.summary: VideoFeatures = summarise(self.pool.features)
+        self.summary: VideoFeatures = summarise(self.pool.originals)
 
     def rng(self, *more: int) -> np.random.Generator:
         """Of one study, whatever was done before."""
@@ -92,10 +92,11 @@ class Seed:
         """
         rankings: list[Ranking] = []
         asked: list[tuple[str, ...]] = []
+        names = sorted(self.pool.originals)
         for number in range(count):
             if number % UPDATE_EVERY == 0 and hasattr(selector, "update"):
                 selector.update(rankings, asked)
-            asked.append(selector.next(list(self.pool.features), asked))
+            asked.append(selector.next(names, asked))
             name, wish, person = human(number)
             returns = self.pool.returns(wish)
             ranks = person.rank([returns[video] for video in asked[-1]])
@@ -154,7 +155,7 @@ def strategies(seed: Seed, done: Callable[..., bool], keep: Callable[[Unit], Non
             selector: QuerySelector = UniformQueries(rng)
         else:
             names = seed.summary.episode_ids
-            ensemble = TransportEnsemble(seed.pool.features, names, seed.preset, rng)
+            ensemble = TransportEnsemble(seed.pool.originals, names, seed.preset, rng)
             selector = make_selector(strategy, rng, seed.summary, ensemble)
         human = SimulatedHuman(seed.rng(2))
         began_s = time.monotonic()

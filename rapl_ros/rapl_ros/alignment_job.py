@@ -35,6 +35,7 @@ from rapl_core.representations import (
     save_encoder,
 )
 from rapl_core.representations.extractor import FeatureRecipe, Precision
+from rapl_core.representations.features import MIRRORED
 from rapl_core.representations.masked import MaskedConfig
 from rapl_core.representations.methods import DEFAULT_BACKBONE, get_method
 from rapl_core.representations.presets import Preset
@@ -131,7 +132,9 @@ def run_alignment(
     features: FeatureStore | None = None
     if looks or method.lesson == "rankings":
         features = _features(order, preset.recipe, preset.mirror, on_video)
-    summary = summarise(features) if looks and features is not None else None
+    summary = None
+    if looks and features is not None:
+        summary = summarise({n: features[n] for n in features if not n.startswith(MIRRORED)})
     # A generator of its own: who ranked must not change what one person's rankings lead to.
     people_rng = np.random.default_rng([order.seed, 301])
     people = study_people(rankings, summary, order.people, order.experts, people_rng)
