@@ -57,7 +57,9 @@ def test_a_killed_node_is_missed_restarted_and_the_run_is_complete(
     assert code == 0, text[-3000:]
     assert f"{node} was killed by SIGKILL; restarting it" in text
     assert not Path(f"/proc/{pid}").exists()
-    assert all(record.status == "done" for record in read_stages(folder))
+    unasked = {"demonstrate"}  # demonstrations are for tcc alone
+    found = {record.name: record.status for record in read_stages(folder)}
+    assert found == {name: "skipped" if name in unasked else "done" for name in found}
     store = EpisodeStore(folder / "episodes")
     assert len(store) >= episodes + 12
     for episode_id in store.ids():

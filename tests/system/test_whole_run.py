@@ -115,7 +115,6 @@ def test_published_rewards_equal_those_of_rapl_core_from_the_published_embedding
     assert compared >= 8
 
 
-@pytest.mark.slow  # passed in the suite, failed once beside a second run: cause unknown
 def test_every_episode_that_ended_got_exactly_one_reward(finished: FinishedRun) -> None:
     probe = finished.probe
     rewarded = [reward.episode_id for reward in probe.rewards]
