@@ -130,7 +130,7 @@ def main() -> None:
     make_extractor(DEFAULT_BACKBONE, RAW_RECIPE)  # before a GL context exists, see learn.py
     pool = make_videos(options.seed, "demonstrate", options.pool, options.work)
     by_id = {video.episode_id: video for video in pool}
-    rankings = rank(pool, options.triplets, options.seed)
+    rankings = rank(pool, options.triplets, options.seed, "contest")
     drawn = draw(LANES)
     rewards = {"human's reward r*": normalised({name: human for name, (_, human) in drawn.items()})}
     for label, reward, preset in (

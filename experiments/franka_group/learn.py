@@ -30,7 +30,8 @@ from rapl_core.policies.rewards import (
     GroundTruthReward,
     fit_scale,
 )
-from rapl_core.preferences import SimulatedHuman, UniformQueries, expert_set, triplets_from
+from rapl_core.preferences import ContestQueries, SimulatedHuman, expert_set, triplets_from
+from rapl_core.preferences.strategies import strategy_of
 from rapl_core.representations import (
     Encoder,
     FeatureStore,
@@ -65,15 +66,19 @@ def make_videos(seed: int, stream: str, count: int, folder: Path) -> list[Episod
         return [Episode(**fields) for fields in content["episodes"]]
 
 
-def rank(pool: list[Episode], triplets: int, seed: int) -> list[Ranking]:
-    """Ask the simulated human about uniformly drawn triplets."""
+def rank(pool: list[Episode], triplets: int, seed: int, strategy: str) -> list[Ranking]:
+    """Ask the simulated human.
+
+    :param strategy: uniform or contest.
+    """
     rng = np.random.default_rng([seed, 201])
-    queries, human = UniformQueries(rng), SimulatedHuman(rng)
+    human = SimulatedHuman(rng)
     returns = {video.episode_id: video.human_return for video in pool}
     asked: list[tuple[str, ...]] = []
-    rankings = []
+    rankings: list[Ranking] = []
     for number in range(triplets):
-        shown = queries.next(list(returns), asked)
+        wanted = triplets if strategy == "contest" else 0  # 0: all of them are uniform
+        shown = ContestQueries(rng, rankings, wanted).next(list(returns), asked)
         asked.append(shown)
         ranks = human.rank([returns[name] for name in shown])
         rankings.append(Ranking(f"r{number}", "simulated", shown, ranks))
@@ -132,6 +137,7 @@ def main() -> None:
         "--reward", default="rapl", choices=["rapl", "rlhf", "imagenet", "ground_truth"]
     )
     parser.add_argument("--preset", default="tuned", choices=["paper", "authors_code", "tuned"])
+    parser.add_argument("--strategy", choices=["uniform", "contest"], help="the preset's own")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--triplets", type=int, default=150)
@@ -156,7 +162,9 @@ def main() -> None:
         scale = fit_scale(v.human_rewards[1:] for v in pool if v.human_rewards is not None)
         reward: EpisodeReward = GroundTruthReward(scale)
     else:
-        rankings = rank(pool, options.triplets, options.seed)
+        strategy = options.strategy or strategy_of(options.preset)
+        result["strategy"] = strategy
+        rankings = rank(pool, options.triplets, options.seed, strategy)
         encoder, learnt = make_encoder(
             options.reward, options.preset, pool, rankings, options.seed, options.work
         )

@@ -38,7 +38,7 @@ from rapl_core.preferences import (
 )
 from rapl_core.preferences.people import GroupLesson, PeopleConfig, study_people
 from rapl_core.preferences.queries import QuerySelector
-from rapl_core.preferences.strategies import STRATEGIES, make_selector
+from rapl_core.preferences.strategies import LEARNING, make_selector
 from rapl_core.preferences.video_features import VideoFeatures, summarise
 from rapl_core.representations import Preset, get_preset
 from rapl_core.representations.alignment import Lesson
@@ -147,7 +147,7 @@ def _measure(
 
 def strategies(seed: Seed, done: Callable[..., bool], keep: Callable[[Unit], None]) -> None:
     """Each strategy at each budget; the answers of a smaller budget are the first of a larger."""
-    for number, strategy in enumerate(STRATEGIES):
+    for number, strategy in enumerate(("uniform", *LEARNING)):
         if done(study="strategies", strategy=strategy, budget=BUDGETS[-1]):
             continue
         rng = seed.rng(1, number)

@@ -66,7 +66,7 @@ class Study:
         self.seed, self.work, self.weights, self.views = seed, work, weights, views
         self.pool = make_videos(seed, "demonstrate", POOL, work)
         self.test = make_videos(seed, "test", TEST, work)
-        rankings = rank(self.pool, TRIPLETS, seed)
+        rankings = rank(self.pool, TRIPLETS, seed, "contest")
         self.triplets, self.experts = triplets_from(rankings), expert_set(rankings, 10)
         preferred = preferred_behaviours(get_task(TASK))
         self.shown = [v for v in self.pool if v.behaviour in preferred]

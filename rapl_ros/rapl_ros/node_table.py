@@ -9,6 +9,7 @@ import yaml
 
 from rapl_core.analysis import provenance
 from rapl_core.preferences.simulated_human import HumanKnobs, knobs_from
+from rapl_core.preferences.strategies import LEARNING
 from rapl_core.tasks import get_task
 from rapl_ros.run_config import RunConfig
 from rapl_ros.supervisor import ProcessSpec
@@ -127,12 +128,12 @@ def run_parameters(
         "weights": str(Path(config.weights).resolve()) if config.weights else "",
         "tcc_iterations": config.tcc_iterations,
         "masked_iterations": config.masked_iterations,
-        "strategy": config.strategy,
+        "strategy": config.query_strategy,
         "preset": config.preset,
         "noise": config.noise,
         "groups": config.groups,
         "people": config.people,
-        "pace_s": 0.0 if config.strategy == "uniform" else STRATEGY_PACE_S,
+        "pace_s": STRATEGY_PACE_S if config.query_strategy in LEARNING else 0.0,
         **_knobs(config.knobs),
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",
         # Longer than ot_reward waits for an encoder that has fallen behind.

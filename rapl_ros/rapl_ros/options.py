@@ -121,7 +121,8 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         "--strategy",
         default=None,
         metavar="NAME",
-        help=f"which videos to ask about next: {' | '.join(STRATEGIES)} (uniform)",
+        help=f"which videos to ask about next: {' | '.join(STRATEGIES)} "
+        "(contest with preset tuned, else uniform)",
     )
     parser.add_argument(
         "--noise",
@@ -249,7 +250,7 @@ def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> R
         _check(config.backbone, "backbone", backbone_names())
     if config.weights and not Path(config.weights).exists():
         raise RaplError(f"no weights at {config.weights}; give a file, or a folder of them")
-    _check(config.strategy, "query strategy", STRATEGIES)
+    _check(config.query_strategy, "query strategy", STRATEGIES)
     _check(config.noise, "treatment of noise", NOISES)
     persons_from(config.people), knobs_from(config.knobs)  # refused here rather than in a node
     if config.encoder:

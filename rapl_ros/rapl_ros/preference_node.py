@@ -13,7 +13,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError, UnknownNameError
-from rapl_core.preferences import DeskConfig, QueryDesk, RankingStore
+from rapl_core.preferences import DeskConfig, QueryDesk, QuerySelector, RankingStore
 from rapl_core.preferences.people import PeopleConfig
 from rapl_core.preferences.progress import RankingProgress, measure_progress, needed
 from rapl_core.preferences.strategies import STRATEGIES
@@ -44,8 +44,11 @@ class PreferenceConfig(DeskConfig, PeopleConfig):
     """Run folder: episodes/, rankings.sqlite, encoders/."""
     rankings_wanted: int = field(default=0, metadata={"minimum": 0})
     """Rankings wanted in all, for the figures of progress; 0: no number. May change at run time."""
-    strategy: Literal["uniform", "uncertainty", "information", "coverage", "transport"] = "uniform"
-    """Which videos to ask about next; uniform: at random, as the paper. May change at run time."""
+    strategy: Literal[
+        "uniform", "contest", "uncertainty", "information", "coverage", "transport"
+    ] = "uniform"
+    """Which videos to ask about next; uniform: at random, as the paper; contest: in the end the
+    strongest among themselves, needs rankings_wanted. May change at run time."""
     preset: str = "tuned"
     """Whose features strategies other than uniform look at."""
     purposes: tuple[str, ...] = ("demonstrate",)
@@ -149,7 +152,7 @@ class PreferenceNode(RaplNode):
             if strategy not in STRATEGIES:
                 raise UnknownNameError("query strategy", strategy, STRATEGIES)
             wish = conversions.query_request_from_ros(request)
-            selector = self._strategist.selector(strategy, wish.size or self.config.query_size)
+            selector = self._selector(strategy, wish.size)
             query = QueryDesk(self._store, self.config).next(wish, self._pool, selector)
         except RaplError as error:
             response.message = str(error)
@@ -219,11 +222,15 @@ class PreferenceNode(RaplNode):
             return response
         response.videos = len(self._pool)
         response.strategy = self.config.strategy
-        self._strategist.selector(self.config.strategy, self.config.query_size)  # begins to learn
+        self._selector(self.config.strategy)  # begins to learn
         response.strategy_detail = self._strategist.detail(self.config.strategy)
         conversions.fill_progress(response, progress, request.annotator)
         response.success = True
         return response
+
+    def _selector(self, strategy: str, size: int = 0) -> QuerySelector | None:
+        wanted = self.config.rankings_wanted
+        return self._strategist.selector(strategy, size or self.config.query_size, wanted)
 
     def _progress(self) -> RankingProgress:
         """Agreement is over all pairs of all rankings: measured anew only after an answer."""

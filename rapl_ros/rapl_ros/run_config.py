@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from rapl_core.errors import CorruptFileError, RaplError
+from rapl_core.preferences.strategies import strategy_of
 from rapl_core.representations.methods import get_method, method_names
 
 CONFIG_FILE = "config.yaml"
@@ -54,8 +55,8 @@ class RunConfig:
     quick: bool = False
     human: str = "simulated"
     """Who ranks: simulated, or people on the page (web)."""
-    strategy: str = "uniform"
-    """Which videos are asked about next."""
+    strategy: str = ""
+    """Which videos are asked about next; empty: the preset's own."""
     noise: str = "plain"
     """What alignment makes of wrong answers."""
     groups: int = 1
@@ -69,6 +70,11 @@ class RunConfig:
     def uses_rankings(self) -> bool:
         """True when the reward comes from videos that were ranked."""
         return self.reward != "ground_truth"
+
+    @property
+    def query_strategy(self) -> str:
+        """Which videos are asked about next."""
+        return self.strategy or strategy_of(self.preset)
 
     @property
     def asks_people(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError
-from rapl_core.preferences import RankingStore
+from rapl_core.preferences import ContestQueries, RankingStore
 from rapl_core.preferences.queries import QuerySelector
 from rapl_core.preferences.strategies import LearningSelector, make_selector
 
@@ -51,19 +51,29 @@ class Strategist:
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def selector(self, strategy: str, size: int) -> QuerySelector | None:
+    def selector(self, strategy: str, size: int, wanted: int = 0) -> QuerySelector | None:
         """The selector of a strategy; None while it is not ready: ask uniformly then.
 
-        :raises RaplError: if the strategy cannot ask about so many videos.
+        :param wanted: rankings wanted in all, for ``contest``; 0: not known.
         """
         if strategy == "uniform":
             return None
+        if strategy == "contest":
+            return self._contest(size, wanted)
         key = strategy, size
         if key not in self._wanted:
             self._wanted.add(key)
             self._detail.setdefault(strategy, "uniform until the videos' features are read")
             self._start()
         return self._ready.get(key)
+
+    def _contest(self, size: int, wanted: int) -> QuerySelector:
+        unknown = "" if wanted else "uniform, for how many rankings are wanted is not known"
+        self._detail["contest"] = unknown
+        with self._store.reading() as ledger:
+            rankings, queries = list(ledger.effective()), ledger.queries
+        rng = np.random.default_rng([self._seed, 402, queries])  # a restart goes on, not back
+        return ContestQueries(rng, rankings, wanted, size)
 
     def detail(self, strategy: str) -> str:
         """Why a strategy is not at work; empty when it is."""

@@ -1,5 +1,6 @@
 """Rankings: their store, what is made of them, and whom to ask about what."""
 
+from rapl_core.preferences.contest import ContestQueries
 from rapl_core.preferences.exchange import export_jsonl, import_jsonl, read_jsonl
 from rapl_core.preferences.expert_set import expert_set, strengths
 from rapl_core.preferences.queries import QuerySelector, UniformQueries
@@ -17,6 +18,7 @@ from rapl_core.preferences.triplets import (
 
 __all__ = [
     "Answer",
+    "ContestQueries",
     "DeskConfig",
     "HumanKnobs",
     "Pair",

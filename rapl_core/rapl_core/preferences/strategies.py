@@ -25,7 +25,15 @@ BATCH = 16
 """Queries chosen at a time, no two with a video in common, so that several people, or one who is
 quicker than the model, are not asked nearly the same."""
 
-STRATEGIES = ("uniform", "uncertainty", "information", "coverage", "transport")
+STRATEGIES = ("uniform", "contest", "uncertainty", "information", "coverage", "transport")
+LEARNING = STRATEGIES[2:]
+"""Those that look at the videos' features and learn from answers."""
+
+
+def strategy_of(preset: str) -> str:
+    """Return the strategy of those who name none: the paper asks uniformly, ``tuned`` does not."""
+    return "contest" if preset == "tuned" else "uniform"
+
 
 ModelOf = Callable[[Sequence[Ranking]], AnswerModel | None]
 """Learns a model from rankings; None while there are too few."""
@@ -171,7 +179,7 @@ def make_selector(
     transport_model: ModelOf,
     size: int = 3,
 ) -> LearningSelector:
-    """Return the selector of a strategy other than ``uniform``, which needs no features.
+    """Return the selector of a strategy that learns; ``uniform`` and ``contest`` need no features.
 
     :param transport_model: learns the ensemble of representations of ``transport``
         (:class:`rapl_core.representations.query_ensemble.TransportEnsemble`).
@@ -193,4 +201,4 @@ def make_selector(
         if size != 3:
             raise RankingError(f"strategy transport asks about three videos, not {size}")
         return ModelQueries(strategy, rng, features, transport_model, information, size)
-    raise UnknownNameError("query strategy", strategy, STRATEGIES)
+    raise UnknownNameError("query strategy", strategy, LEARNING)

@@ -16,7 +16,7 @@ from rapl_core.preferences.answers import (
     information,
     plackett_luce,
 )
-from rapl_core.preferences.strategies import BATCH, STRATEGIES, make_selector
+from rapl_core.preferences.strategies import BATCH, LEARNING, STRATEGIES, make_selector
 from rapl_core.preferences.utility import comparisons, fit_utility
 from rapl_core.preferences.video_features import VideoFeatures, summarise
 from rapl_core.types import Ranking
@@ -124,4 +124,5 @@ def test_unknown_strategies_and_sizes_are_refused_by_name() -> None:
         make_selector("transport", rng, x, no_model, size=4)
     with pytest.raises(RankingError, match="no query: 5 of 6 episodes"):
         make_selector("information", rng, x, no_model, size=6).update([])
-    assert set(STRATEGIES) == {"uniform", "uncertainty", "information", "coverage", "transport"}
+    assert set(LEARNING) == {"uncertainty", "information", "coverage", "transport"}
+    assert set(STRATEGIES) == {"uniform", "contest", *LEARNING}
