@@ -18,6 +18,7 @@ from rapl_ros.parameters import declare_config
 from rapl_ros.progress import ProgressMeter, StageProgress
 from rapl_ros.run_config import load_config
 from rapl_ros.stages import STAGES, Stage, StageContext
+from rapl_ros.supervisor import UNFINISHED
 
 ATTEMPTS = 4
 """Of a stage; another one is made only when a node has died and was restarted meanwhile."""
@@ -47,7 +48,7 @@ class ConductorNode(RaplNode):
     ``preference/get_progress``, ``preference/align``,
     ``encoder/set_parameters``, ``simulated_human/set_parameters``, ``learner/train`` and
     ``learner/evaluate``. The process ends with 0 after the last stage, with 1 when a stage fails
-    for good.
+    for good, and as if killed when a signal ends it before.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -61,6 +62,7 @@ class ConductorNode(RaplNode):
             topics.LEARNER,
         )
         super().__init__(topics.CONDUCTOR, peers=peers, **options)
+        self.exit_code = UNFINISHED
         self.folder = declare_config(self, ConductorConfig()).run_folder
         self.run = load_config(self.folder)
         self.watch(topics.WEB if self.run.asks_people else topics.SIMULATED_HUMAN)
@@ -85,6 +87,7 @@ class ConductorNode(RaplNode):
                 await self._run_stage(stage)
             else:
                 self._book.skip(stage.name, f"--reward {self.run.reward} does without")
+        self.exit_code = 0
         await pause(self, 1.0)  # the last message must leave before the process does
         rclpy.try_shutdown()
 

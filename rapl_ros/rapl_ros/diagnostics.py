@@ -1,5 +1,6 @@
 """What is wrong with a node and what it counts, on /diagnostics."""
 
+import threading
 import time
 from collections import Counter
 from typing import Final
@@ -23,11 +24,13 @@ class Diagnostics:
     """Conditions, counters and shares of time of one node, published as one status.
 
     A condition stands until it is cleared; the status has the worst level of all. A new or worse
-    condition is logged once and published at once, the rest when ``publish`` is called.
+    condition is logged once and published at once, the rest when ``publish`` is called. May be
+    used from any thread.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
+        self._lock = threading.RLock()
         self._publisher = node.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics()
         )
@@ -42,8 +45,9 @@ class Diagnostics:
 
     def warn_for(self, seconds: float, key: str, message: str) -> None:
         """Something bad came in: a warning that ends by itself when none comes for so long."""
-        self._set(key, WARN, message)
-        self._ends_s[key] = time.monotonic() + seconds
+        with self._lock:
+            self._set(key, WARN, message)
+            self._ends_s[key] = time.monotonic() + seconds
 
     def error(self, key: str, message: str) -> None:
         """Something is wrong that somebody must repair."""
@@ -51,22 +55,32 @@ class Diagnostics:
 
     def clear(self, key: str) -> None:
         """The condition is over; say so once."""
-        self._ends_s.pop(key, None)
-        if self._conditions.pop(key, None) is not None:
+        with self._lock:
+            self._ends_s.pop(key, None)
+            known = self._conditions.pop(key, None)
+        if known is not None:
             self._node.get_logger().info(f"{key}: well again")
             self.publish()
 
     def count(self, key: str, by: int = 1) -> None:
         """Add to a counter, e.g. ``ignored_actions``."""
-        self.counters[key] += by
+        with self._lock:
+            self.counters[key] += by
 
     @property
     def conditions(self) -> dict[str, str]:
         """What stands now, by key."""
-        return {key: message for key, (_, message) in self._conditions.items()}
+        with self._lock:
+            return {key: message for key, (_, message) in self._conditions.items()}
 
     def publish(self) -> None:
         """Publish the status."""
+        with self._lock:
+            status = self._status()
+        stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(DiagnosticArray(header=Header(stamp=stamp), status=[status]))
+
+    def _status(self) -> DiagnosticStatus:
         now_s = time.monotonic()
         for key in [key for key, end_s in self._ends_s.items() if end_s < now_s]:
             del self._ends_s[key], self._conditions[key]
@@ -78,21 +92,20 @@ class Diagnostics:
             processor_s = self.shares.processor_s[purpose]
             values.append(KeyValue(key=f"{purpose}_s", value=f"{seconds:.3f}"))
             values.append(KeyValue(key=f"{purpose}_processor_s", value=f"{processor_s:.3f}"))
-        status = DiagnosticStatus(
+        return DiagnosticStatus(
             level=level,
             name=name,
             message="; ".join(self.conditions.values()) or "ok",
             hardware_id=name,
             values=values,
         )
-        stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(DiagnosticArray(header=Header(stamp=stamp), status=[status]))
 
     def _set(self, key: str, level: bytes, message: str) -> None:
-        known = self._conditions.get(key)
-        if known == (level, message):
-            return
-        self._conditions[key] = (level, message)
+        with self._lock:
+            known = self._conditions.get(key)
+            if known == (level, message):
+                return
+            self._conditions[key] = (level, message)
         if known is None or known[0] < level:
             logger = self._node.get_logger()
             if level == ERROR:

@@ -4,6 +4,7 @@ import json
 import os
 import threading
 import time
+import traceback
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import rclpy
 import torch
 from numpy.typing import NDArray
 from rapl_msgs import msg as wire_msg
@@ -215,7 +217,14 @@ class EncoderNode(RaplNode):
             if at_work is None:
                 continue
             for same in _of_one_size(pictures):
-                self._embed(at_work, same)
+                try:
+                    self._embed(at_work, same)
+                except Exception:
+                    if not rclpy.ok():  # being shut down: nothing can be published
+                        return
+                    self.diagnostics.count("failed_embeddings", len(same))
+                    self.diagnostics.error("embedding", traceback.format_exc())
+                    self._fail(at_work, [picture.key for picture in same])
 
     def _embed(self, at_work: EncoderAtWork, pictures: list[_Picture]) -> None:
         info = at_work.encoder.info

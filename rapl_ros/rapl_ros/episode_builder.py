@@ -113,6 +113,8 @@ class Recording:
         joints = [self.joints[step] for step in range(steps)]
         if any(joint.names != joints[0].names for joint in joints):
             return None
+        if any({len(j.positions), len(j.velocities)} != {len(j.names)} for j in joints):
+            return None  # many drivers leave the velocities out
         return JointTrack(
             names=joints[0].names,
             positions=np.stack([joint.positions for joint in joints]),  # (T + 1, J)

@@ -1,6 +1,7 @@
 """The node ``learner``: SAC from topics; states in, actions out, rewards when they come."""
 
 import math
+import traceback
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -133,8 +134,8 @@ class LearnerNode(RaplNode):
                 raise
             result.success = True
             result.message = f"{session.learning.schedule.steps} steps"
-        except RaplError as error:
-            result.message = str(error)
+        except Exception as error:
+            result.message = self._reason(error)
         if self._session is not None:
             result.policy_id = self._session.policy_id
             result.metrics = self._metrics_now(self._session)
@@ -155,6 +156,7 @@ class LearnerNode(RaplNode):
                 range(first, first + rounds),
                 goal.request.seed,
                 lambda ended: _feed_back(goal, session, ended),
+                goal.request.policy_id,
             )
             found = session.summarise(tallies, goal.request.episodes)
             result.success_rate = found.success_rate
@@ -163,10 +165,17 @@ class LearnerNode(RaplNode):
             result.episode_ids = list(found.episode_ids)
             result.success = True
             result.message = f"{found.episodes} episodes"
-        except RaplError as error:
-            result.message = str(error)
+        except Exception as error:
+            result.message = self._reason(error)
         self._end(goal, result)
         return result
+
+    def _reason(self, error: Exception) -> str:
+        """In a line; what is no RaplError is a fault of ours and logged in full."""
+        if isinstance(error, RaplError):
+            return str(error)
+        self.get_logger().error("".join(traceback.format_exception(error)))
+        return f"{type(error).__name__}: {error}"
 
     def _end(self, goal: ServerGoalHandle, result: Any) -> None:
         self._goal = None
@@ -322,6 +331,12 @@ class LearnerNode(RaplNode):
         """A simulator that has restarted knows nothing of the round under way."""
         if peer == topics.SIMULATOR and restarted:
             self._rounds.abandon(RoundLostError("the simulator has restarted"))
+        self._waiting.wake()
+
+    def peer_lost(self, peer: str) -> None:
+        """Without a simulator the round under way cannot go on, nor be cancelled."""
+        if peer == topics.SIMULATOR:
+            self._rounds.abandon(RoundLostError("the simulator is gone"))
         self._waiting.wake()
 
     def _metrics_now(self, session: LearnerSession) -> wire_msg.Metrics:

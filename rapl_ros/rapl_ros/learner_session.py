@@ -93,6 +93,7 @@ class LearnerSession:
 
     def save(self) -> Path:
         """Write a checkpoint and the curve."""
+        self._clear_if_due()
         values = {
             "curve": self.curve.rows(),
             "recent": [list(entry) for entry in self._recent],
@@ -108,10 +109,7 @@ class LearnerSession:
 
     def begin_round(self) -> TrainingPlayer:
         """Release what is due to the replay buffer; the player of the next round."""
-        if self._must_clear:
-            self.learning.settle()
-            self.learning.trainer.clear_buffer()
-            self._must_clear = False
+        self._clear_if_due()
         self.learning.begin_round()
         return TrainingPlayer(self.task, self.learning, self.learning.schedule.next_episode)
 
@@ -201,7 +199,15 @@ class LearnerSession:
         self.swaps += 1
         self._must_clear = True
 
+    def _clear_if_due(self) -> None:
+        if self._must_clear:
+            self.learning.settle()
+            self.learning.trainer.clear_buffer()
+            self._must_clear = False
+
     def _drop(self, name: str, reason: str) -> None:
+        if math.isnan(self._totals.get(name, 0.0)):  # given up before; ot_reward says so too
+            return
         self.learning.stager.drop(name, reason)
         self.dropped += 1
         self._settle(name, math.nan)

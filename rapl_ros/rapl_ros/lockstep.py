@@ -4,6 +4,7 @@ All worlds step together, when each that is under way has the action that answer
 world that rests waits for nobody.
 """
 
+import re
 import secrets
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +17,8 @@ from rapl_core.simulation.simulation import STREAMS, Simulation, Snapshot, episo
 from rapl_ros import topics
 from rapl_ros.time_shares import TimeShares
 from rapl_ros.wire import Command, Instant, JoinKey
+
+NODE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,11 @@ class Assignment:
             raise UnknownNameError("purpose", self.purpose, STREAMS)
         if not self.controller:
             raise RaplError(f"nobody is named to control the episodes to {self.purpose}")
+        if not re.fullmatch(NODE_NAME, self.controller):
+            raise RaplError(
+                f"controller {self.controller!r} is no name of a node: letters, digits and "
+                "underscores, no digit first"
+            )
 
     def episode_id(self, world: int, number: int) -> str:
         """Id of an episode: sorted, they are in an order that follows from the seed."""

@@ -40,6 +40,8 @@ class RaplNode(Node):
     def __init__(self, name: str, peers: Iterable[str] = (), **options: Any) -> None:
         options.setdefault("namespace", topics.NAMESPACE)
         super().__init__(name, **options)
+        self.exit_code = 0
+        """Of its process after a signal, or after the node itself has shut ROS down."""
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.diagnostics = Diagnostics(self)
         self.heartbeat = Heartbeat(self)
@@ -150,8 +152,8 @@ class RaplNode(Node):
 def run(make_node: Callable[[], RaplNode], args: Sequence[str] | None = None) -> int:
     """Spin a node until SIGINT or SIGTERM and return the exit code of its process.
 
-    :return: 0 after a signal, 1 after an error; a RaplError is told in one line, any other with
-        its traceback.
+    :return: the node's ``exit_code`` after a signal, 1 after an error; a RaplError is told in one
+        line, any other with its traceback.
     """
     rclpy.init(args=None if args is None else list(args))
     executor = SingleThreadedExecutor()
@@ -170,17 +172,16 @@ def run(make_node: Callable[[], RaplNode], args: Sequence[str] | None = None) ->
     except Exception:
         # Where a signal has just shut ROS down, whatever was being published or created fails;
         # otherwise it is a fault of ours: told in full, and the exit code says so.
-        if not rclpy.ok():
-            return 0
-        get_logger(node.get_name() if node else "rapl").fatal(traceback.format_exc())
-        code = 1
+        if rclpy.ok():
+            get_logger(node.get_name() if node else "rapl").fatal(traceback.format_exc())
+            code = 1
     finally:
         if node is not None:
             node.close()
             node.destroy_node()
         executor.shutdown(timeout_sec=1.0)
         rclpy.try_shutdown()
-    return code
+    return code or (node.exit_code if node is not None else 0)
 
 
 def main(make_node: Callable[[], RaplNode]) -> None:

@@ -125,7 +125,8 @@ def run_parameters(
         "repeat_share": 0.08 if config.asks_people else 0.0,
         "shared_share": 0.08 if config.asks_people else 0.0,
         "backbone": config.backbone,
-        "weights": str(Path(config.weights).resolve()) if config.weights else "",
+        # Unless given it is left to the node: an encoder that restarts takes up its own again.
+        **({"weights": str(Path(config.weights).resolve())} if config.weights else {}),
         "tcc_iterations": config.tcc_iterations,
         "masked_iterations": config.masked_iterations,
         "strategy": config.query_strategy,

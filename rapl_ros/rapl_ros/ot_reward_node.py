@@ -96,6 +96,9 @@ class OtRewardNode(RaplNode):
 
     def _say_what_is_missing(self) -> None:
         """The learner begins no round while this node waits: its steps would be wasted."""
+        if topics.SIMULATOR in self.missing_peers():  # its states would pass unheard
+            self.heartbeat.report("waiting", "for the simulator")
+            return
         encoder = self.peers.get(topics.ENCODER)
         if encoder is None or (encoder.alive and encoder.status == "active"):
             self.heartbeat.report("active", f"rewards from {self._desk.config.source}")

@@ -1,6 +1,7 @@
 """The node ``preference``: whom to ask about what, the answers, and what is learnt from them."""
 
 import time
+import traceback
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -105,6 +106,8 @@ class PreferenceNode(RaplNode):
             self.config.preset,
             self.config.precision,
             self.config.seed,
+            self.config.backbone,
+            Path(self.config.weights) if self.config.weights else None,
         )
         self._measured: tuple[int, RankingProgress] | None = None
         self._worker: Worker | None = None
@@ -277,9 +280,11 @@ class PreferenceNode(RaplNode):
         except AlignmentCancelledError as error:
             result.message = str(error)
             goal.canceled()
-        except (RaplError, OSError, RuntimeError, ValueError) as error:
-            result.message = str(error)
-            self.get_logger().error(f"alignment failed: {error}")
+        except Exception as error:
+            known = isinstance(error, RaplError | OSError)
+            result.message = str(error) if known else f"{type(error).__name__}: {error}"
+            told = error if known else "".join(traceback.format_exception(error))
+            self.get_logger().error(f"alignment failed: {told}")
             goal.abort()
         finally:
             self._aligning = False

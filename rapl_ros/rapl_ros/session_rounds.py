@@ -69,10 +69,12 @@ class SessionRounds:
         numbers: Sequence[int],
         seed: int,
         on_round: Callable[[Tallies], None] = lambda tallies: None,
+        policy_id: str = "",
     ) -> Tallies:
         """Play these episodes in every world without exploring and wait for their rewards.
 
         :param on_round: called after each round with all that has ended.
+        :param policy_id: of ``trainer``; empty: the session's current one.
         :raises RoundsStoppedError: if the goal is cancelled.
         """
         tallies: Tallies = []
@@ -80,7 +82,9 @@ class SessionRounds:
         while waiting:
             self._waiting.check_cancelled()
             await self._waiting.until_ready(lambda: session.keeps_up)
-            player = EvaluationPlayer(session.task, trainer, f"sac-{session.policy_id}")
+            player = EvaluationPlayer(
+                session.task, trainer, f"sac-{policy_id or session.policy_id}"
+            )
             self._node.heartbeat.report("active", f"evaluation, {len(waiting)} rounds left")
             try:
                 await self._rounds.play(player, "evaluate", waiting[0], seed)

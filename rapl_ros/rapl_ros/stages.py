@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -96,7 +97,7 @@ async def collect(context: StageContext) -> Result:
             purpose="demonstrate",
             seed=run.seed,
             # Beyond every number used so far, whichever world recorded how many.
-            first_episode=have and max(_number(e) for e in pool) + 1,
+            first_episode=_next_number(pool),
         )
         result = await context.collect.run(
             goal, lambda feedback: context.show(have + feedback.done, wanted, "videos")
@@ -118,22 +119,39 @@ async def rank(context: StageContext) -> Result:
         if human.incarnation != asked:  # a human that restarted has forgotten how many are wanted
             await context.human.set("rankings", wanted, HUMAN_DEADLINE_S)
             asked = human.incarnation
-        response = await call(context.node, context.progress, GetProgress.Request())
+        given = await _given(context)
         lack = human.detail if human.status == "waiting" and "until" in human.detail else ""
-        context.show(min(response.given, wanted), wanted, "rankings", lack)
-        if response.given >= wanted:
-            return {"rankings": int(response.given)}
+        context.show(min(given, wanted), wanted, "rankings", lack)
+        if given >= wanted:
+            return {"rankings": given}
         await pause(context.node, 0.2)
 
 
 async def _wait_for_people(context: StageContext, wanted: int) -> Result:
     """People take their time: only what counts is counted, and there is no deadline."""
     while True:
-        response = await call(context.node, context.progress, GetProgress.Request())
-        context.show(min(response.given, wanted), wanted, "rankings", "people rank on the page")
-        if response.given >= wanted:
-            return {"rankings": int(response.given)}
+        given = await _given(context)
+        context.show(min(given, wanted), wanted, "rankings", "people rank on the page")
+        if given >= wanted:
+            return {"rankings": given}
         await pause(context.node, 0.5)
+
+
+async def _given(context: StageContext) -> int:
+    """How many rankings count; a preference node that is busy or gone is waited for.
+
+    :raises CallError: if it answers that it cannot say.
+    """
+    while True:
+        try:
+            response = await call(context.node, context.progress, GetProgress.Request())
+        except CallError as error:
+            context.say(f"for {topics.PREFERENCE}: {error}")
+            await pause(context.node, 1.0)
+            continue
+        context.say("")
+        _check(response, "rank")
+        return int(response.given)
 
 
 async def demonstrate(context: StageContext) -> Result:
@@ -154,7 +172,7 @@ async def demonstrate(context: StageContext) -> Result:
             noise=DRAWN_NOISE,
             purpose="demonstrate",
             seed=run.seed,
-            first_episode=max((_number(e) for e in _pool(context.folder)), default=-1) + 1,
+            first_episode=_next_number(_pool(context.folder)),
         )
         result = await context.collect.run(
             goal,
@@ -317,9 +335,10 @@ def _shown(folder: Path, behaviours: Sequence[str]) -> int:
     return sum(e.behaviour in behaviours for e in shown)
 
 
-def _number(episode_id: str) -> int:
-    """Number within its world: ids are ``<purpose>-s<seed>-w<world>-<number>-<token>``."""
-    return int(episode_id.split("-")[3])
+def _next_number(episode_ids: Sequence[str]) -> int:
+    """Beyond every number within its world; videos that others have brought have none."""
+    found = (re.fullmatch(r"\w+-s\d+-w\d+-(\d+)-\w+", name) for name in episode_ids)
+    return max((int(match[1]) for match in found if match), default=-1) + 1
 
 
 def _accuracy_words(accuracy: float) -> str:

@@ -1,6 +1,7 @@
 """Keeps the selectors of queries up to date behind the service calls, on a thread of its own."""
 
 import threading
+import traceback
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,8 @@ class Strategist:
     :param preset: whose features are read, and with whose loss ``transport`` learns.
     :param precision: of the features.
     :param seed: of candidates and ensembles.
+    :param backbone: network that features are read from; empty: the default one.
+    :param weights: its weights, a file or a folder; None: where they are usually.
     """
 
     def __init__(
@@ -39,9 +42,12 @@ class Strategist:
         preset: str,
         precision: str,
         seed: int,
+        backbone: str = "",
+        weights: Path | None = None,
     ) -> None:
         self._store, self._folder, self._pool = store, run_folder, pool
         self._preset, self._precision, self._seed = preset, precision, seed
+        self._backbone, self._weights = backbone, weights
         self._wanted: set[tuple[str, int]] = set()
         self._ready: dict[tuple[str, int], LearningSelector] = {}
         self._detail: dict[str, str] = {}
@@ -108,6 +114,9 @@ class Strategist:
                     self._detail[key[0]] = ""
                 except RaplError as error:
                     self._detail[key[0]] = f"uniform, for {error}"
+                except Exception as error:  # the asking goes on, and the thread
+                    traceback.print_exception(error)
+                    self._detail[key[0]] = f"uniform, for {type(error).__name__}: {error}"
 
     def _learn(self, strategy: str, size: int) -> None:
         videos = tuple(sorted(self._pool()))
@@ -128,7 +137,9 @@ class Strategist:
         episodes = EpisodeStore(self._folder / "episodes")
         if self._features is None:
             preset = get_preset(self._preset)
-            extractor = make_extractor(DEFAULT_BACKBONE, preset.recipe)
+            extractor = make_extractor(
+                self._backbone or DEFAULT_BACKBONE, preset.recipe, self._weights
+            )
             find_parts(extractor, videos, lambda name: episodes.frames(name)[1:], self._seed)
             folder = self._folder / "features"
             self._features = FeatureStore(extractor, folder, self._precision)  # type: ignore[arg-type]

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from rapl_core.errors import RaplError
 
+UNFINISHED = 128 + signal.SIGTERM
+"""Exit code of a process that ends when its work is done, and was told to end before."""
 RESTART_LIMIT = 3
 """Restarts of one node before the run is given up; see RESTART_MEMORY_S."""
 RESTART_MEMORY_S = 600.0
@@ -34,7 +36,8 @@ class ProcessSpec:
     environment: Mapping[str, str] = field(default_factory=dict)
     restarts: int = RESTART_LIMIT
     ends: bool = False
-    """True for a process that exits when its work is done; only a signal's victim is restarted."""
+    """True for a process that exits when its work is done; only a signal's victim is restarted,
+    also one that was asked to end and says so by UNFINISHED."""
 
 
 @dataclass
@@ -99,7 +102,7 @@ class Supervisor:
             code = running.process.poll()
             if code is None or running.exit_code is not None:
                 continue
-            if running.spec.ends and code >= 0:
+            if running.spec.ends and code >= 0 and code != UNFINISHED:
                 running.exit_code = code
                 continue
             self._restart(running, code)
@@ -175,6 +178,8 @@ def describe_exit(code: int) -> str:
     """Return ``exited with code 3`` or ``was killed by SIGKILL`` for a Popen return code."""
     if code < 0:
         return f"was killed by {signal.Signals(-code).name}"
+    if code == UNFINISHED:
+        return "was told to end before its work was done"
     return f"exited with code {code}"
 
 

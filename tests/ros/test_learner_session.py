@@ -20,8 +20,7 @@ TASK = get_task("franka_group")
 STEPS, WORLDS = 5, 2
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[LearnerSession]:
+def make_session(folder: Path) -> LearnerSession:
     world = World(
         task="franka_group",
         worlds=WORLDS,
@@ -36,7 +35,20 @@ def session(tmp_path: Path) -> Iterator[LearnerSession]:
     )
     schedule = ScheduleConfig(steps=1000, worlds=WORLDS, random_steps=1000, evaluate_episodes=0)
     sac = SacConfig(hidden=(8,), batch_size=4, buffer_size=100)
-    made = LearnerSession(world, sac, schedule, 0, tmp_path)
+    return LearnerSession(world, sac, schedule, 0, folder)
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[LearnerSession]:
+    made = make_session(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def successor(tmp_path: Path) -> Iterator[LearnerSession]:
+    """Of the process that takes over."""
+    made = make_session(tmp_path)
     yield made
     made.close()
 
@@ -143,24 +155,53 @@ def test_after_an_encoder_swap_the_replay_buffer_is_emptied(session: LearnerSess
 
 
 def test_a_checkpoint_brings_everything_back_and_is_not_overwritten_by_accident(
-    session: LearnerSession, tmp_path: Path
+    session: LearnerSession, successor: LearnerSession
 ) -> None:
     fresh_or_refuse(session)
     for number in range(3):
         play(session, number)
         for world in range(WORLDS):
-            give(session, f"train-{world}-{number}")
+            give(session, f"train-{world}-{number}", valid=(world, number) != (1, 0))
     session.begin_round()
     path = session.save()
     with pytest.raises(RaplError, match="resume it"):
         fresh_or_refuse(session)
-    before = session.metrics()
-    session.resume(path)
-    after = session.metrics()
+    assert successor.metrics().steps == 0
+    successor.resume(path)
+    before, after = session.metrics(), successor.metrics()
     assert (after.steps, after.episodes, after.reward_mean, after.success_rate) == (
         before.steps,
         before.episodes,
         before.reward_mean,
         1.0,
     )
-    assert session.learning.schedule.next_episode == 3
+    assert after.dropped_episodes == 1
+    assert size(successor) == size(session) == 3 * STEPS
+    replays = session.learning.trainer.replay, successor.learning.trainer.replay
+    np.testing.assert_array_equal(replays[0].observations[:15], replays[1].observations[:15])
+    assert successor.learning.schedule.next_episode == 3
+
+
+def test_a_checkpoint_after_a_swap_holds_nothing_of_the_encoder_before(
+    session: LearnerSession, successor: LearnerSession
+) -> None:
+    for number in range(3):
+        play(session, number)
+        for world in range(WORLDS):
+            give(session, f"train-{world}-{number}", "aaaa")
+    session.begin_round()
+    assert size(session) > 0
+    play(session, 3)
+    for world in range(WORLDS):
+        give(session, f"train-{world}-3", "bbbb")
+    successor.resume(session.save())
+    source = successor.learning.reward_source
+    assert source is not None and source.version == "bbbb"
+    assert size(successor) == 0
+
+
+def test_an_episode_is_lost_once_however_often_it_is_said(session: LearnerSession) -> None:
+    play(session, 0)
+    session.expire_rewards(0.0)
+    give(session, "train-0-0", valid=False)
+    assert session.metrics().dropped_episodes == WORLDS

@@ -128,7 +128,7 @@ def test_the_listing_names_tasks_rewards_and_presets() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--strategy", "luck"], "unknown query strategy 'luck'; known: coverage, information"),
+        (["--strategy", "luck"], "unknown query strategy 'luck'; known: contest, coverage"),
         (["--noise", "none"], "unknown treatment of noise 'none'; known: estimated, plain"),
         (["--people", "ann"], "'ann' is no person, expected name:wish"),
         (["--people", "ann:task,ann:apart"], "a name comes twice"),

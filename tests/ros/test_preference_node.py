@@ -204,7 +204,7 @@ def test_progress_says_how_many_are_needed_and_how_each_annotator_gets_on(person
 def test_an_unknown_strategy_names_the_known(person: Person) -> None:
     asked = person.ask(strategy="telepathy")
     assert not asked.success
-    assert "unknown query strategy 'telepathy'; known: coverage, information" in asked.message
+    assert "unknown query strategy 'telepathy'; known: contest, coverage" in asked.message
 
 
 def test_the_simulated_human_ranks_by_the_true_return_and_goes_on_after_a_kill(
