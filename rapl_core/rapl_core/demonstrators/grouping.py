@@ -64,7 +64,7 @@ def together_halfway(pusher: Pusher, state: State) -> list[Phase]:
     """Begin as preferred, then stop somewhere on the way."""
     ways = (together_from_behind, together_from_ahead, together_side_by_side)
     plan = ways[int(pusher.rng.integers(3))]
-    pusher.depth = float(pusher.rng.uniform(-0.22, 0.0))
+    pusher.depth = float(pusher.rng.uniform(-0.22, -0.03))
     return plan(pusher, state)
 
 
@@ -135,10 +135,10 @@ def grouping_behaviours(task: TabletopGroup) -> tuple[Behaviour, ...]:
         return Behaviour(name or plan.__name__, begin, share, preferred, wander, telling)
 
     behaviours = (
-        scripted(together_from_behind, 0.10, preferred=True),
-        scripted(together_from_ahead, 0.10, preferred=True),
-        scripted(together_side_by_side, 0.10, preferred=True, telling=True),
-        scripted(together_halfway, 0.16),
+        scripted(together_from_behind, 0.12, preferred=True),
+        scripted(together_from_ahead, 0.12, preferred=True),
+        scripted(together_side_by_side, 0.12, preferred=True, telling=True),
+        scripted(together_halfway, 0.10),
         scripted(bring_together, 0.05),
         scripted(too_far, 0.06),
         scripted(one_at_a_time, 0.11, telling=True),

@@ -17,6 +17,7 @@ from rapl_core.representations.encoder import Encoder, matched_part, reward_of
 from rapl_core.representations.extractor import FeatureExtractor
 from rapl_core.representations.features import MIRRORED, FeatureStore, stack_frames
 from rapl_core.representations.heads import Embedder, linear_head
+from rapl_core.representations.inferred import inferred_triplets
 from rapl_core.representations.presets import Preset
 from rapl_core.representations.projection import Projection
 from rapl_core.representations.report import AlignmentReport, wilson_interval
@@ -121,7 +122,9 @@ def fit_embedder(
     projection = fit_projection({n: features[n] for n in statistics_videos}, preset, rng)
     width = next(iter(features.values())).shape[1]
     head = linear_head(projection.dimension if projection else width, dimension, rng)
-    data = _training_data(features, projection, lesson, split, preset)
+    inferred = inferred_triplets(split.train, round(preset.inferred * len(split.train)), rng)
+    taught = replace(split, train=(*split.train, *inferred))
+    data = _training_data(features, projection, lesson, taught, preset)
     history = train_head(head, objective, data, preset, rng, on_epoch)
     explained = projection.explained if projection else 1.0
     return Fit(Embedder(projection, head), split, history, statistics_videos, explained)

@@ -69,6 +69,9 @@ class Preset:
     weight_decay: float = 0.0
     batch_size: int = 10
     epochs: int = 100
+    inferred: float = 0.0
+    """Triplets inferred from the ranked ones, to learn from as well, for each ranked one; see
+    :func:`rapl_core.representations.inferred.inferred_triplets`."""
     held_out: float = 0.2
     """Share of the triplets that choose the best epoch."""
     disjoint_videos: bool = False
@@ -88,7 +91,7 @@ class Preset:
         for field, lowest in (
             ("dimension", 1), ("temperature", 1e-6), ("tie_weight", 0), ("expert_weight", 0),
             ("experts_per_batch", 1), ("slow_weight", 0), ("learning_rate", 1e-12),
-            ("weight_decay", 0), ("batch_size", 1), ("epochs", 1),
+            ("weight_decay", 0), ("batch_size", 1), ("epochs", 1), ("inferred", 0),
         ):  # fmt: skip
             if not getattr(self, field) >= lowest:
                 raise ShapeError(
@@ -151,7 +154,8 @@ TUNED = Preset(
     learning_rate=1e-2,
     weight_decay=1.0,
     batch_size=16,
-    epochs=80,
+    epochs=40,
+    inferred=3.0,
     held_out=0.15,
 )
 
