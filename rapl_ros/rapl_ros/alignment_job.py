@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rapl_core.atomic import write_atomically
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RankingError
 from rapl_core.preferences import RankingStore, triplets_from
@@ -193,9 +193,7 @@ def _write_findings(folder: Path, people: PeopleFindings, outcomes: Sequence[Gro
     found = people.to_json()
     for group, outcome in zip(found["groups"], reversed(outcomes), strict=True):
         group["encoder"] = outcome.uri
-    beside = folder / f".{PEOPLE_FILE}.{os.getpid()}"
-    beside.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    beside.replace(folder / PEOPLE_FILE)
+    write_atomically(folder / PEOPLE_FILE, json.dumps(found, indent=1, ensure_ascii=False) + "\n")
 
 
 def tied_triplets(rankings: Sequence[Ranking]) -> list[TiedTriplet]:

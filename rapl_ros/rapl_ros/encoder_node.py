@@ -1,9 +1,7 @@
 """The node ``encoder``: pictures in, embeddings out, by an encoder that can be swapped."""
 
 import json
-import os
 import threading
-import time
 import traceback
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
@@ -20,6 +18,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
 
+from rapl_core.atomic import write_atomically
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError, WeightsError
 from rapl_core.preferences import RankingStore, expert_set
@@ -162,10 +161,19 @@ class EncoderNode(RaplNode):
         info = new.encoder.info
         self._infos.publish(conversions.encoder_info_to_ros(info, new.rule, now_ns))
         self._at_work = new  # the worker reads it once for each batch
-        _remember(self.config.run_folder, choice)
+        self._remember(choice)
         what = f"{info.name} version {info.version} on {info.backbone}"
         self.get_logger().info(f"encoder {what}, {len(new.experts.experts)} experts")
         self.heartbeat.report("active", what)
+
+    def _remember(self, choice: EncoderChoice) -> None:
+        """The encoder is at work already: that a restarted node will not know it is a warning."""
+        try:
+            _keep(choice, self.config.run_folder)
+        except RaplError as error:
+            self.diagnostics.warn("encoder at work", f"{error}; a restarted node would not know it")
+        else:
+            self.diagnostics.clear("encoder at work")
 
     # Pictures in
 
@@ -299,12 +307,8 @@ def _of_one_size(pictures: list[_Picture]) -> Iterator[list[_Picture]]:
         yield list(same)
 
 
-def _remember(run_folder: Path, choice: EncoderChoice) -> None:
-    path = run_folder / "encoders" / AT_WORK_FILE
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.{time.monotonic_ns()}")
-    beside.write_text(json.dumps(asdict(choice)))
-    beside.replace(path)
+def _keep(choice: EncoderChoice, run_folder: Path) -> None:
+    write_atomically(run_folder / "encoders" / AT_WORK_FILE, json.dumps(asdict(choice)))
 
 
 def _restored(run_folder: Path) -> EncoderChoice:

@@ -300,6 +300,10 @@ class LearnerNode(RaplNode):
             if late:
                 self.diagnostics.count("late_rewards", len(late))
                 self.diagnostics.warn("rewards", f"no reward came for {late[0]} in time")
+            if session.metrics_failure:
+                self.diagnostics.warn("metrics", session.metrics_failure)
+            else:
+                self.diagnostics.clear("metrics")
             if self._goal is not None:
                 self._metrics.publish(self._metrics_now(session))
         self._waiting.wake()

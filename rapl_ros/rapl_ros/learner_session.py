@@ -73,6 +73,11 @@ class LearnerSession:
         self._began_s = time.monotonic()
         self._pace: deque[tuple[float, int]] = deque(maxlen=50)
 
+    @property
+    def metrics_failure(self) -> str:
+        """Why the last metrics could not be written; empty when they were."""
+        return self._log.failure
+
     # Checkpoints
 
     @property

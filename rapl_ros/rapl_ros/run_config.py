@@ -1,12 +1,14 @@
 """The resolved settings of a run, kept as ``config.yaml`` in its folder."""
 
 import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import CorruptFileError, RaplError
 from rapl_core.preferences.strategies import strategy_of
 from rapl_core.representations.methods import get_method, method_names
@@ -15,6 +17,8 @@ CONFIG_FILE = "config.yaml"
 RESULTS_FILE = "results.json"
 WEB_ADDRESS_FILE = "web_address"
 """Where the page is while it runs, its token included."""
+PROBE_BYTES = 64 * 1024
+"""Written and removed before a run begins: an empty file can be made on a full disk too."""
 
 
 @dataclass(frozen=True)
@@ -106,13 +110,10 @@ def save_config(config: RunConfig, folder: Path, resolved: dict[str, Any] | None
     """Write ``config.yaml`` atomically.
 
     :param resolved: further sections, for the reader only (versions, machine, node parameters).
+    :raises RaplError: if it cannot be written.
     """
-    path = folder / CONFIG_FILE
     text = yaml.safe_dump({"run": asdict(config), **(resolved or {})}, sort_keys=False)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text)
-    temporary.replace(path)
-    return path
+    return write_atomically(folder / CONFIG_FILE, text, "the settings to")
 
 
 def load_config(folder: Path) -> RunConfig:
@@ -130,16 +131,21 @@ def load_config(folder: Path) -> RunConfig:
 
 
 def check_writable(folder: Path) -> None:
-    """Create ``folder`` and prove that files can be written there.
+    """Create ``folder`` and prove that files with something in them can be written there.
 
     :raises RaplError: if not, with the reason.
     """
     probe = folder / f".write-test-{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"")
-        probe.unlink()
+        with probe.open("wb") as file:
+            file.write(bytes(PROBE_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
     except OSError as error:
         raise RaplError(
             f"cannot write to the run folder {folder}: {error.strerror}; give another with --out"
         ) from error
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)

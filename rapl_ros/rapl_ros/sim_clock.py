@@ -5,6 +5,7 @@ import os
 import time
 from pathlib import Path
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import RaplError
 
 RESERVE_NS = 3_600_000_000_000
@@ -47,13 +48,8 @@ class SimClock:
 
     def _reserve(self) -> None:
         until = self._now_ns + RESERVE_NS
-        temporary = self._file.with_name(f".{self._file.name}.{os.getpid()}")
-        try:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_text(json.dumps({"reserved_until_ns": until}) + "\n")
-            temporary.replace(self._file)
-        except OSError as error:
-            raise RaplError(f"cannot keep simulation time in {self._file}: {error}") from error
+        text = json.dumps({"reserved_until_ns": until}) + "\n"
+        write_atomically(self._file, text, "simulation time to")
         self._reserved_ns = until
 
     def _read(self) -> int:

@@ -1,6 +1,5 @@
 """The node ``web``: the page on which people rank videos and watch the system."""
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -10,6 +9,7 @@ from rapl_msgs import msg as wire_msg
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image
 
+from rapl_core.atomic import write_atomically
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import CorruptFileError, RaplError
 from rapl_ros import conversions, qos, topics
@@ -117,7 +117,7 @@ class WebNode(RaplNode):
         self._server = ServerThread(web.guarded(hosts, token), listener)
         bare = address_of(listener)
         self.address = f"{bare}#token={token}" if token else bare
-        _write_address(config.run_folder / WEB_ADDRESS_FILE, self.address)
+        write_atomically(config.run_folder / WEB_ADDRESS_FILE, f"{self.address}\n", mode=0o600)
         self.get_logger().info(f"people rank at {self.address}")
         self.heartbeat.report("active", bare)
 
@@ -184,13 +184,6 @@ def _run_of(folder: Path) -> RunConfig:
         return load_config(folder)
     except CorruptFileError:
         return RunConfig(task="")
-
-
-def _write_address(path: Path, address: str) -> None:
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-        file.write(address + "\n")
-    beside.replace(path)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ from rapl_core.representations.pretrained import RAW_RECIPE
 from rapl_core.representations.registry import DEFAULT_BACKBONE
 from rapl_core.types import Episode, Ranking
 from rapl_ros import conversions, qos, topics
+from rapl_ros.encoder_node import AT_WORK_FILE
 from rapl_ros.wire import JoinKey
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -244,6 +245,27 @@ def test_a_bad_encoder_is_refused_by_name_and_the_old_one_goes_on(
     msg = camera.embedding(camera.show(pictures(63, 1)[0]))
     assert msg.version == reference.info.version
     assert camera.infos[-1].version == reference.info.version
+
+
+def test_a_swap_that_cannot_be_remembered_is_a_warning_and_holds(
+    camera: Camera, run_folder: Path
+) -> None:
+    path = run_folder / "encoders" / AT_WORK_FILE
+    kept = path.rename(path.with_name("kept.json"))
+    path.mkdir()  # as on a full disk, the file cannot be written
+    assert camera.set_encoder("imagenet") == (True, "")
+    camera.probe.until(
+        lambda: "encoder at work" in camera.probe.status_of(topics.ENCODER), 5.0, "a warning"
+    )
+    warning = camera.probe.status_of(topics.ENCODER)["encoder at work"]
+    assert warning.startswith(f"cannot write {path}: Is a directory")
+    assert len(camera.embedding(camera.show(pictures(64, 1)[0])).values) > 0
+    path.rmdir()
+    kept.rename(path)
+    assert camera.set_encoder("imagenet") == (True, "")
+    camera.probe.until(
+        lambda: "encoder at work" not in camera.probe.status_of(topics.ENCODER), 5.0, "it is well"
+    )
 
 
 def test_a_swap_changes_version_and_experts_between_two_pictures_and_survives_a_kill(

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from full_disk import full_disk
 
 from rapl_core.errors import CorruptFileError, RaplError
 from rapl_ros.options import RunRequest, listing, parse
@@ -117,6 +118,15 @@ def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(tmp_p
         check_writable(tmp_path / "file" / "run")
     with pytest.raises(RaplError, match="cannot write to the run folder"):
         check_writable(Path("/proc/rapl"))
+
+
+def test_a_full_disk_is_noticed_before_anything_starts_and_clear_later(tmp_path: Path) -> None:
+    with full_disk():
+        with pytest.raises(RaplError, match="cannot write to the run folder.*File too large"):
+            check_writable(tmp_path)
+        with pytest.raises(RaplError, match=r"cannot write the settings to .*config\.yaml"):
+            save_config(RunConfig("franka_group"), tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_listing_names_tasks_rewards_and_presets() -> None:

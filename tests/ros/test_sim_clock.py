@@ -50,5 +50,5 @@ def test_a_damaged_file_is_named_and_not_ignored(tmp_path, content):
 
 def test_a_folder_that_cannot_be_written_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RaplError, match="cannot keep simulation time|does not say"):
+    with pytest.raises(RaplError, match="cannot write simulation time|does not say"):
         SimClock(tmp_path / "file" / "clock.json", 0.08)

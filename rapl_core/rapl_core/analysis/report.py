@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from rapl_core.analysis.findings import Findings, find, results
 from rapl_core.analysis.record import RunRecord, pool_composition, read_run
 from rapl_core.analysis.scoring import RewardingEncoder, ScoredVideo, Scorer
 from rapl_core.analysis.strips import picture_uri, strip
+from rapl_core.atomic import write_atomically
 from rapl_core.policies.learning_curve import LearningCurve
 
 REPORT_FILE = "report.html"
@@ -44,6 +44,7 @@ def write_report(
     :param oracle: success of a run with ``--reward ground_truth``; None: that of a run beside this
         one, if there is one.
     :return: path of the report.
+    :raises RaplError: if a file cannot be written.
     """
     record = read_run(folder)
     experts = (encoder.expert_ids or record.expert_ids()) if encoder else ()
@@ -52,8 +53,8 @@ def write_report(
     curve = curve_of(folder)
     found = results(record, findings, curve, encoder)
     page = _render(record, findings, scorer, curve, oracle or oracle_curve(folder), found)
-    path = _write(folder / REPORT_FILE, page)
-    _write(folder / RESULTS_FILE, json.dumps(found, indent=1) + "\n")
+    path = write_atomically(folder / REPORT_FILE, page)
+    write_atomically(folder / RESULTS_FILE, json.dumps(found, indent=1) + "\n")
     return path
 
 
@@ -245,10 +246,3 @@ def _clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
-
-
-def _write(path: Path, text: str) -> Path:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
-    return path

@@ -5,7 +5,6 @@ The conductor writes it, a resumed run begins where it stops, and the report rea
 
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import CorruptFileError
 
 STAGES_FILE = "stages.json"
@@ -36,7 +36,10 @@ class StageRecord:
 
 
 class StageBook:
-    """Reads and writes ``stages.json``; every change is on disk when its method returns."""
+    """Reads and writes ``stages.json``; every change is on disk when its method returns.
+
+    Its methods raise RaplError when the file cannot be written.
+    """
 
     def __init__(self, run_folder: Path) -> None:
         self._path = run_folder / STAGES_FILE
@@ -80,9 +83,7 @@ class StageBook:
     def _put(self, record: StageRecord) -> None:
         self._records[record.name] = record
         text = json.dumps(plain([asdict(r) for r in self._records.values()]), indent=1)
-        temporary = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-        temporary.write_text(text)
-        temporary.replace(self._path)
+        write_atomically(self._path, text)
 
 
 def read_stages(run_folder: Path) -> tuple[StageRecord, ...]:

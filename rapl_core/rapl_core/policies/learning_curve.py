@@ -1,14 +1,15 @@
 """The learning curve of a policy: what each evaluation found."""
 
 import csv
+import io
 import json
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Self
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import CorruptFileError, RaplError
 
 
@@ -55,24 +56,16 @@ class LearningCurve:
         """
         path = Path(path)
         rows = [_row(point) for point in self.points]
-        beside = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            with beside.open("w", encoding="utf-8", newline="") as file:
-                if path.suffix == ".json":
-                    json.dump({"points": rows}, file, indent=1)
-                elif path.suffix == ".csv":
-                    writer = csv.DictWriter(file, [f.name for f in fields(CurvePoint)])
-                    writer.writeheader()
-                    writer.writerows(rows)
-                else:
-                    raise RaplError(f"a curve is saved as .json or .csv, not {path.name}")
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(path)
-        except OSError as error:
-            raise RaplError(f"cannot write the curve {path}: {error}") from error
-        finally:
-            beside.unlink(missing_ok=True)
+        file = io.StringIO(newline="")
+        if path.suffix == ".json":
+            json.dump({"points": rows}, file, indent=1)
+        elif path.suffix == ".csv":
+            writer = csv.DictWriter(file, [f.name for f in fields(CurvePoint)])
+            writer.writeheader()
+            writer.writerows(rows)
+        else:
+            raise RaplError(f"a curve is saved as .json or .csv, not {path.name}")
+        write_atomically(path, file.getvalue(), "the curve")
 
     @classmethod
     def load(cls, path: Path | str) -> Self:

@@ -1,8 +1,8 @@
 """Rankings to and from JSON lines, for people and for other programs."""
 
-import os
 from pathlib import Path
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import RankingError
 from rapl_core.preferences.ranking_json import ranking_from_json, ranking_to_json
 from rapl_core.preferences.store import RankingStore
@@ -14,18 +14,9 @@ def export_jsonl(store: RankingStore, path: Path | str) -> int:
 
     :raises RankingError: if ``path`` cannot be written.
     """
-    path = Path(path)
     rankings = store.all()
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with beside.open("w", encoding="utf-8") as file:
-            file.writelines(f"{ranking_to_json(ranking)}\n" for ranking in rankings)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise RankingError(f"cannot write rankings to {path}: {error}") from error
+    lines = "".join(f"{ranking_to_json(ranking)}\n" for ranking in rankings)
+    write_atomically(path, lines, "rankings to", error=RankingError)
     return len(rankings)
 
 

@@ -1,11 +1,11 @@
 """Rankings to and from Parquet, for data frames: the columns are the fields of a Ranking."""
 
-import os
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import RankingError
 from rapl_core.preferences.ranking_json import ranking_from_values, ranking_to_values
 from rapl_core.preferences.store import RankingStore
@@ -33,19 +33,12 @@ def export_parquet(store: RankingStore, path: Path | str) -> int:
 
     :raises RankingError: if ``path`` cannot be written.
     """
-    path = Path(path)
     rows = [ranking_to_values(ranking) for ranking in store.all()]
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        pq.write_table(  # type: ignore[no-untyped-call]
-            pa.Table.from_pylist(rows, schema=SCHEMA), beside
-        )
-        with beside.open("rb") as file:
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise RankingError(f"cannot write rankings to {path}: {error}") from error
+    content = pa.BufferOutputStream()
+    pq.write_table(  # type: ignore[no-untyped-call]
+        pa.Table.from_pylist(rows, schema=SCHEMA), content
+    )
+    write_atomically(path, content.getvalue().to_pybytes(), "rankings to", error=RankingError)
     return len(rows)
 
 

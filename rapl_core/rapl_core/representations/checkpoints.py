@@ -1,8 +1,8 @@
 """Encoders on disk: a folder with model.safetensors and card.json, written atomically."""
 
 import json
-import os
 import shutil
+import uuid
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ def save_encoder(encoder: Encoder, folder: Path, report: dict[str, Any] | None =
             (folder / CARD_FILE).touch()
             return folder
         raise CorruptFileError(f"{folder} exists and is not encoder {encoder.info.version}")
-    beside = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    beside = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
     try:
         beside.mkdir(parents=True)
         tensors = {k: v.contiguous() for k, v in encoder.tensors.items()}
@@ -53,9 +53,10 @@ def save_encoder(encoder: Encoder, folder: Path, report: dict[str, Any] | None =
         if report is not None:
             (beside / REPORT_FILE).write_text(json.dumps(report, indent=2) + "\n")
         beside.rename(folder)
-    except OSError as error:
-        shutil.rmtree(beside, ignore_errors=True)
+    except (OSError, SafetensorError) as error:  # a full disk is the latter
         raise CorruptFileError(f"cannot write encoder {folder}: {error}") from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
     return folder
 
 

@@ -1,7 +1,6 @@
 """Features of a frozen backbone, computed once per video and kept on disk."""
 
 import hashlib
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -10,8 +9,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import ShapeError, UnknownNameError, WeightsError
 from rapl_core.representations.extractor import FeatureExtractor, Precision
 from rapl_core.types import Episode, check_episode_id
@@ -63,6 +63,7 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
         """Compute or find the features of a video's (T, H, W, 3) frames.
 
         :raises ShapeError: for frames of another shape or dtype, or features beyond the dtype.
+        :raises RaplError: if they cannot be written to the folder.
         """
         check_episode_id(episode_id)
         self._features[episode_id] = self._found(episode_id, frames)
@@ -145,10 +146,7 @@ def _read(path: Path) -> NDArray[Any] | None:
 
 
 def _write(path: Path, features: NDArray[Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(f".{os.getpid()}.partial")
-    save_file({"features": features}, beside)
-    beside.replace(path)
+    write_atomically(path, save({"features": features}), flush=False)
 
 
 def stack_frames(features: Mapping[str, NDArray[np.float32]]) -> torch.Tensor:

@@ -1,12 +1,14 @@
 """A backbone of which a part is trained here, and how its weights get to disk."""
 
-import os
+import uuid
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import nn
 
@@ -83,13 +85,15 @@ def save_network(network: nn.Module, name: str, folder: Path) -> Path:
     :raises CorruptFileError: if it cannot be written.
     """
     folder = Path(folder)
-    beside = folder / f".{name}.{os.getpid()}.partial"
+    beside = folder / f".{name}.{uuid.uuid4().hex}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         save_file({k: v.detach().contiguous() for k, v in network.state_dict().items()}, beside)
         path = folder / f"{name}-{file_sha256(beside)[:16]}.safetensors"
         beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
+    except (OSError, SafetensorError) as error:  # a full disk is the latter
         raise CorruptFileError(f"cannot write weights to {folder}: {error}") from error
+    finally:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
     return path

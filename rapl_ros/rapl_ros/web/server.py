@@ -1,7 +1,6 @@
 """The HTTP server on a thread of its own."""
 
 import errno
-import os
 import secrets
 import socket
 import threading
@@ -10,6 +9,7 @@ from pathlib import Path
 import uvicorn
 from starlette.types import ASGIApp
 
+from rapl_core.atomic import write_atomically
 from rapl_core.errors import RaplError
 
 TOKEN_FILE = "web_token"
@@ -69,14 +69,7 @@ def token_of(run_folder: Path) -> str:
     except FileNotFoundError:
         pass
     token = secrets.token_urlsafe(32)
-    beside = path.with_name(f".{TOKEN_FILE}.{os.getpid()}")
-    try:
-        run_folder.mkdir(parents=True, exist_ok=True)
-        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(token + "\n")
-        beside.replace(path)
-    except OSError as error:
-        raise AddressError(f"cannot keep the token in {path}: {error.strerror}") from error
+    write_atomically(path, token + "\n", "the token to", error=AddressError, mode=0o600)
     return token
 
 
