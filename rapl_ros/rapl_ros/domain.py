@@ -11,6 +11,9 @@ from rapl_core.errors import RaplError
 DOMAINS = range(1, 102)
 """Safe on Linux: above, the ports reach into the ephemeral range."""
 
+DISCOVERY_RANGE = "LOCALHOST"
+"""How far nodes look for each other unless the user says; ROS's own default is the whole subnet."""
+
 PARTICIPANTS = 32
 """Processes of a domain on one machine that find each other where discovery is LOCALHOST."""
 
@@ -24,7 +27,9 @@ def graph_environment(folder: Path, environment: Mapping[str, str] | None = None
     given = os.environ if environment is None else environment
     return {
         "ROS_DOMAIN_ID": given.get("ROS_DOMAIN_ID") or str(free_domain()),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": given.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": given.get(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE", DISCOVERY_RANGE
+        ),
         # Several threads a process on a busy machine are slower than one.
         "OMP_NUM_THREADS": given.get("OMP_NUM_THREADS", "1"),
         "ROS_LOG_DIR": given.get("ROS_LOG_DIR", str((folder / "logs" / "ros").resolve())),

@@ -5,11 +5,13 @@ turns these into its actions.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from rapl_core.errors import RaplError, UnknownNameError
+from rapl_core.tasks import task_names
+from rapl_ros.domain import DISCOVERY_RANGE
 from rapl_ros.node_table import (
     NODES,
     NodeEntry,
@@ -20,6 +22,7 @@ from rapl_ros.node_table import (
     run_parameters,
 )
 from rapl_ros.run_config import CONFIG_FILE, RunConfig, check_writable, load_config, save_config
+from rapl_ros.settings import checked, continued
 
 
 @dataclass(frozen=True)
@@ -62,17 +65,23 @@ SETTINGS = {
     "evaluate_every": "world steps between two evaluations while learning",
     "final_episodes": "episodes of the evaluation after learning",
 }
-"""Arguments that are settings of a run, see :class:`rapl_ros.run_config.RunConfig`."""
+"""Arguments that are settings of a run, see :class:`rapl_ros.run_config.RunConfig`. Empty, as they
+are by default, says nothing: a new run has the defaults then, a continued one what it had."""
+
+ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": DISCOVERY_RANGE}
+"""Set for the nodes where the user has not: nothing is visible beyond this machine unasked."""
 
 ARGUMENTS: tuple[LaunchArgument, ...] = (
     LaunchArgument("run_folder", "", "folder of the run; empty: runs/TASK/launched here. A folder "
-                   "that holds a run is continued, with the settings that it was started with"),
+                   "that holds a run is continued, with the settings that it was started with; "
+                   "others than steps and human are refused then"),
     LaunchArgument("nodes", "all", "which nodes to start here, separated by commas, or all that "
                    "the run needs; known: "
                    + ", ".join(entry.name for entry in NODES)),
     LaunchArgument("params_file", "", "YAML file of further parameters, e.g. QoS overrides"),
     LaunchArgument("namespace", "rapl", "namespace of the nodes"),
-    *(LaunchArgument(name, str(getattr(_DEFAULT, name)), text) for name, text in SETTINGS.items()),
+    *(LaunchArgument(name, "", f"{text} ({getattr(_DEFAULT, name) or 'empty'})")
+      for name, text in SETTINGS.items()),
 )  # fmt: skip
 
 
@@ -82,9 +91,11 @@ def plan(given: Mapping[str, str]) -> list[LaunchedNode]:
     :param given: value of each of `ARGUMENTS`, as text.
     :raises RaplError: if a value is not acceptable or the folder is not writable.
     """
-    folder = Path(given["run_folder"] or Path("runs") / given["task"] / "launched")
+    asked = _asked(given)
+    task = str(asked.get("task", _DEFAULT.task))
+    folder = Path(given["run_folder"] or Path("runs") / task / "launched")
     chosen = _chosen(given["nodes"])
-    config = _run_config(given, folder)
+    config = _run_config(asked, folder)
     entries = entries_of(config) if chosen is None else chosen
     values = run_parameters(config, folder)
     files = (given["params_file"],) if given["params_file"] else ()
@@ -118,18 +129,30 @@ def _chosen(names: str) -> list[NodeEntry] | None:
     return [known[name] for name in asked]
 
 
-def _run_config(given: Mapping[str, str], folder: Path) -> RunConfig:
-    if (folder / CONFIG_FILE).exists():
-        return load_config(folder)
+def _asked(given: Mapping[str, str]) -> dict[str, Any]:
+    """The settings that were given, each as what it is."""
     types = {field.name: type(getattr(_DEFAULT, field.name)) for field in fields(RunConfig)}
-    settings: dict[str, Any] = {}
+    asked: dict[str, Any] = {}
     for name in SETTINGS:
+        if not given[name]:
+            continue
         try:
-            settings[name] = types[name](given[name])
+            asked[name] = types[name](given[name])
         except ValueError as error:
             kind = types[name].__name__
             raise RaplError(f"launch argument {name}:={given[name]} is no {kind}") from error
-    config = RunConfig(**settings)
+    return asked
+
+
+def _run_config(asked: Mapping[str, Any], folder: Path) -> RunConfig:
+    """The settings of the run in ``folder``, which is on disk then."""
+    if (folder / CONFIG_FILE).exists():
+        kept = load_config(folder)
+        config = continued(kept, asked, folder)
+        if config == kept:
+            return config
+    else:
+        config = checked(replace(_DEFAULT, **asked), task_names())
     check_writable(folder)
-    save_config(config, folder, resolved_parameters(config, folder, {}))
+    save_config(config, folder, resolved_parameters(config, folder, ENVIRONMENT))
     return config

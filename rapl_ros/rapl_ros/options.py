@@ -1,47 +1,28 @@
 """What the person who types ``./run_all.sh TASK`` can ask for."""
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NoReturn, get_args
+from typing import Any, NoReturn
 
-from rapl_core.errors import RaplError, UnknownNameError
-from rapl_core.preferences.simulated_human import HumanKnobs, knobs_from
+from rapl_core.errors import RaplError
+from rapl_core.preferences.simulated_human import HumanKnobs
 from rapl_core.preferences.strategies import STRATEGIES
-from rapl_core.preferences.wishes import persons_from, wish_names
-from rapl_core.types import Noise
+from rapl_core.preferences.wishes import wish_names
 from rapl_ros.run_config import CONFIG_FILE, RESULTS_FILE, RunConfig, load_config
+from rapl_ros.settings import (
+    HUMANS,
+    NOISES,
+    PRESETS,
+    RANGES,
+    REWARDS,
+    check_name,
+    checked,
+    continued,
+)
 
-REWARDS = {
-    "rapl": "optimal transport to the preferred videos, in the representation learnt from rankings",
-    "ground_truth": "the simulated human's own reward r*: the oracle, an upper bound",
-    "imagenet": "optimal transport in the raw ImageNet features: what rankings are worth",
-    "rlhf": "a reward network learnt from the same rankings, without transport",
-    "tcc": "distance to the goal of preferred demonstrations, after temporal cycle consistency",
-    "tcc_ot": "optimal transport in the same representation",
-    "r3m": "optimal transport in R3M's features; its weights must be given",
-    "mvp": "optimal transport in MVP's features; its weights must be given",
-    "mvp_finetuned": "MVP adapted to the videos by LoRA; --backbone mae_vit needs no weights",
-    "mae_scratch": "a masked autoencoder pre-trained on the videos themselves, optimal transport",
-    "vip": "optimal transport in VIP's features; its weights must be given",
-    "liv": "optimal transport in LIV's features; its weights must be given",
-    "dinov2": "optimal transport in DINOv2's features; its weights must be given",
-    "clock": "a control: the frame's index alone",
-    "mean_distance": "a control: mean distance to all expert frames, raw ImageNet features",
-}
-HUMANS = {
-    "simulated": "ranks by its own reward r*, at once",
-    "web": "people rank on a page in the browser; the run waits for them",
-}
-NEVER_FOR_LEARNING = {"supervised_probe"}
-NOISES = get_args(Noise)
 KNOBS = tuple(knob.name for knob in fields(HumanKnobs))
-PRESETS = {
-    "tuned": "our best settings, which depart from the paper where docs/paper_notes.md says so",
-    "paper": "the paper's text; what it leaves open is in docs/paper_notes.md",
-    "authors_code": "what the authors' published code does",
-}
 
 
 @dataclass(frozen=True)
@@ -132,7 +113,7 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--groups",
-        type=_whole(0, 4),
+        type=_whole(*RANGES["groups"]),
         metavar="N",
         help="representations, one a group of people who agree; 0: as many as needed (1)",
     )
@@ -150,19 +131,19 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--triplets",
-        type=_whole(1),
+        type=_whole(*RANGES["triplets"]),
         metavar="N",
         help=f"rankings of three videos ({default.triplets})",
     )
     parser.add_argument(
         "--episodes",
-        type=_whole(12),
+        type=_whole(*RANGES["pool_episodes"]),
         metavar="N",
         help=f"videos to collect and rank ({default.pool_episodes})",
     )
     parser.add_argument(
         "--demonstrations",
-        type=_whole(2),
+        type=_whole(*RANGES["demonstrations"]),
         metavar="N",
         help=f"preferred demonstrations, for tcc and tcc_ot ({default.demonstrations})",
     )
@@ -178,17 +159,19 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--steps",
-        type=_whole(1),
+        type=_whole(*RANGES["steps"]),
         metavar="N",
         help=f"world steps of learning ({default.steps})",
     )
     parser.add_argument(
         "--worlds",
-        type=_whole(1, 16),
+        type=_whole(*RANGES["worlds"]),
         metavar="N",
         help=f"worlds simulated side by side ({default.worlds})",
     )
-    parser.add_argument("--seed", type=_whole(0), metavar="N", help="of everything random (0)")
+    parser.add_argument(
+        "--seed", type=_whole(*RANGES["seed"]), metavar="N", help="of everything random (0)"
+    )
     parser.add_argument(
         "--out", type=Path, metavar="FOLDER", help="run folder (runs/TASK/REWARD-PRESET-seedN)"
     )
@@ -232,31 +215,9 @@ def parse(argv: Sequence[str], tasks: Sequence[str], runs: Path) -> RunRequest:
 def _fresh(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) -> RunRequest:
     if arguments.task is None:
         raise RaplError(f"a task is missing; known: {', '.join(sorted(tasks))}")
-    _check(arguments.task, "task", tasks)
     values = {**(QUICK if arguments.quick else {}), **_given(arguments)}
     config = RunConfig(task=arguments.task, quick=arguments.quick, **values)
-    config = replace(config, random_steps=min(config.random_steps, config.steps // 4))
-    if config.reward in NEVER_FOR_LEARNING:
-        raise RaplError(
-            f"'{config.reward}' is fitted to the human's own reward: a ceiling in tables, never "
-            f"for learning; rewards: {', '.join(sorted(REWARDS))}"
-        )
-    _check(config.reward, "reward", REWARDS)
-    _check(config.preset, "preset", PRESETS)
-    _check(config.human, "human", HUMANS)
-    if config.backbone:
-        from rapl_core.representations import backbone_names  # imports torch: seconds
-
-        _check(config.backbone, "backbone", backbone_names())
-    if config.weights and not Path(config.weights).exists():
-        raise RaplError(f"no weights at {config.weights}; give a file, or a folder of them")
-    _check(config.query_strategy, "query strategy", STRATEGIES)
-    _check(config.noise, "treatment of noise", NOISES)
-    persons_from(config.people), knobs_from(config.knobs)  # refused here rather than in a node
-    if config.encoder:
-        from rapl_core.representations import encoder_names  # imports torch: seconds
-
-        _check(config.encoder, "encoder", encoder_names())
+    config = checked(config, tasks)
     folder = arguments.out or _free_folder(runs / config.task / _run_name(config))
     if (folder / CONFIG_FILE).exists():
         raise RaplError(f"{folder} holds a run already; continue it with --resume {folder}")
@@ -273,18 +234,9 @@ def _resumed(arguments: argparse.Namespace, tasks: Sequence[str], runs: Path) ->
     folder = _folder_to_resume(arguments, tasks, runs)
     config = load_config(folder)
     asked = _given(arguments)
-    changed = ("steps", "final_episodes", "human")
-    longer = {name: asked.pop(name) for name in changed if name in asked}
     if arguments.task is not None:
         asked["task"] = arguments.task
-    for name, value in asked.items():
-        if getattr(config, name) != value:
-            raise RaplError(
-                f"{folder} was started with {name} {getattr(config, name)!r}, not {value!r}; "
-                "a resumed run may only change --steps and --human"
-            )
-    config = replace(config, **longer)
-    _check(config.human, "human", HUMANS)
+    config = continued(config, asked, folder)
     return RunRequest(
         config,
         folder,
@@ -305,7 +257,7 @@ def _folder_to_resume(arguments: argparse.Namespace, tasks: Sequence[str], runs:
         return Path(arguments.resume or arguments.out)
     if arguments.task is None:
         raise RaplError("--resume needs a run folder or a task")
-    _check(arguments.task, "task", tasks)
+    check_name(arguments.task, "task", tasks)
     found = [
         path.parent
         for path in (runs / arguments.task).glob(f"*/{CONFIG_FILE}")
@@ -323,12 +275,6 @@ def _given(arguments: argparse.Namespace) -> dict[str, Any]:
         for key, value in vars(arguments).items()
         if key in names and key not in ("task", "quick") and value is not None
     }
-
-
-def _check(name: str, kind: str, known: Iterable[str]) -> None:
-    known = tuple(known)
-    if name not in known:
-        raise UnknownNameError(kind, name, known)
 
 
 def _run_name(config: RunConfig) -> str:

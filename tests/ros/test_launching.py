@@ -2,8 +2,11 @@
 so they are compiled and their parts tested, not launched."""
 
 import ast
+import runpy
+import sys
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import rclpy
@@ -12,7 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import Image
 
-from rapl_core.errors import RaplError, UnknownNameError
+from rapl_core.errors import RaplError
 from rapl_ros import qos, topics
 from rapl_ros.launching import ARGUMENTS, executable_of, plan
 from rapl_ros.node_table import KNOBS, NODES, parameters_of, run_parameters
@@ -55,9 +58,23 @@ def test_with_people_there_is_the_page_and_no_simulated_human(tmp_path: Path) ->
 
 
 def test_a_folder_that_holds_a_run_is_continued_with_its_settings(tmp_path: Path) -> None:
-    plan(given(tmp_path, worlds="2"))
-    nodes = plan(given(tmp_path, worlds="3"))
-    assert {node.name: node.parameters for node in nodes}["simulator"]["worlds"] == 2
+    plan(given(tmp_path, worlds="2", reward="imagenet"))
+    for same in ({}, {"worlds": "2", "reward": "imagenet", "task": "franka_group"}):
+        nodes = plan(given(tmp_path, **same))
+        assert {node.name: node.parameters for node in nodes}["simulator"]["worlds"] == 2
+    with pytest.raises(RaplError, match="was started with worlds 2, not 4; .*steps and human"):
+        plan(given(tmp_path, worlds="4"))
+    with pytest.raises(RaplError, match="was started with reward 'imagenet', not 'rapl'"):
+        plan(given(tmp_path, reward="rapl"))
+    plan(given(tmp_path, steps="70000"))
+    assert load_config(tmp_path) == RunConfig(
+        "franka_group", worlds=2, reward="imagenet", steps=70_000
+    )
+
+
+def test_a_short_run_has_gradient_steps_too(tmp_path: Path) -> None:
+    nodes = {node.name: node.parameters for node in plan(given(tmp_path, steps="2000"))}
+    assert nodes["learner"]["schedule.random_steps"] == 500
 
 
 def test_a_part_of_the_nodes_can_be_launched(tmp_path: Path) -> None:
@@ -66,11 +83,32 @@ def test_a_part_of_the_nodes_can_be_launched(tmp_path: Path) -> None:
     assert {node.parameter_files for node in nodes} == {("camera.yaml",)}
 
 
-def test_bad_values_are_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="unknown node 'oven'; known: .*simulator"):
-        plan(given(tmp_path, nodes="oven"))
-    with pytest.raises(RaplError, match="worlds:=many is no int"):
-        plan(given(tmp_path, worlds="many"))
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"nodes": "oven"}, "unknown node 'oven'; known: .*simulator"),
+        ({"worlds": "many"}, "worlds:=many is no int"),
+        ({"worlds": "0"}, "worlds is 0, expected 1 to 16"),
+        ({"steps": "-5"}, "steps is -5, expected 1 or more"),
+        ({"seed": "-1"}, "seed is -1, expected 0 or more"),
+        ({"pool_episodes": "3"}, "pool_episodes is 3, expected 12 or more"),
+        ({"evaluate_every": "0"}, "evaluate_every is 0, expected 1 or more"),
+        ({"task": "juggling"}, "unknown task 'juggling'; known: .*franka_group"),
+        ({"reward": "raplx"}, "unknown reward 'raplx'; known: .*rapl"),
+        ({"reward": "supervised_probe"}, "never for learning"),
+        ({"preset": "nonsense"}, "unknown preset 'nonsense'; known: authors_code, paper, tuned"),
+        ({"human": "webb"}, "unknown human 'webb'; known: simulated, web"),
+        ({"encoder": "eye"}, "unknown encoder 'eye'"),
+        ({"backbone": "spine"}, "unknown backbone 'spine'"),
+        ({"weights": "/nowhere"}, "no weights at /nowhere"),
+    ],
+)
+def test_bad_values_are_refused_by_name_and_leave_no_run(
+    tmp_path: Path, changes: dict[str, str], words: str
+) -> None:
+    with pytest.raises(RaplError, match=words):
+        plan(given(tmp_path, **changes))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_argument_is_described() -> None:
@@ -94,6 +132,41 @@ def test_launch_files_compile_and_have_their_entry_point(path: Path) -> None:
     compile(tree, str(path), "exec")
     functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     assert "generate_launch_description" in functions
+
+
+class _Recorded:
+    """Stands for any class of launch: keeps what it was made with."""
+
+    def __init__(self, *given: object, **named: object) -> None:
+        self.given, self.named = given, named
+
+
+def test_the_launch_file_keeps_the_graph_on_this_machine_unless_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    imported = {
+        "launch": ("LaunchContext", "LaunchDescription"),
+        "launch.actions": (
+            "DeclareLaunchArgument", "EmitEvent", "OpaqueFunction", "SetEnvironmentVariable",
+        ),
+        "launch.events": ("Shutdown",),
+        "launch.substitutions": ("EnvironmentVariable", "LaunchConfiguration"),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node",),
+    }  # fmt: skip
+    for module, names in imported.items():
+        stand_in = ModuleType(module)
+        for name in names:
+            setattr(stand_in, name, type(name, (_Recorded,), {}))
+        monkeypatch.setitem(sys.modules, module, stand_in)
+    found = runpy.run_path(str(BRINGUP / "launch" / "rapl.launch.py"))
+    actions = found["generate_launch_description"]().given[0]
+    kinds = [type(action).__name__ for action in actions]
+    assert kinds[-2:] == ["SetEnvironmentVariable", "OpaqueFunction"]
+    assert kinds.count("DeclareLaunchArgument") == len(ARGUMENTS) == len(kinds) - 2
+    name, value = actions[-2].given
+    assert name == "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    assert (value.given, value.named) == ((name,), {"default_value": "LOCALHOST"})
 
 
 def test_the_camera_configuration_makes_the_encoder_take_best_effort_pictures() -> None:

@@ -5,12 +5,12 @@ ros2 launch rapl_bringup rapl.launch.py --show-args
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, SetEnvironmentVariable
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
-from rapl_ros.launching import ARGUMENTS, plan
+from rapl_ros.launching import ARGUMENTS, ENVIRONMENT, plan
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
@@ -42,4 +42,8 @@ def generate_launch_description() -> LaunchDescription:
         )
         for argument in ARGUMENTS
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=_nodes)])
+    unless_set = [
+        SetEnvironmentVariable(name, EnvironmentVariable(name, default_value=value))
+        for name, value in ENVIRONMENT.items()
+    ]
+    return LaunchDescription([*declared, *unless_set, OpaqueFunction(function=_nodes)])
