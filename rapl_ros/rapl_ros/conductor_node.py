@@ -1,6 +1,7 @@
 """The node ``conductor``: runs the stages of the main job by calling the other nodes."""
 
 import math
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
 from rapl_ros.progress import ProgressMeter, StageProgress
 from rapl_ros.run_config import load_config
+from rapl_ros.run_lock import RunLock
 from rapl_ros.stages import STAGES, Stage, StageContext
 from rapl_ros.supervisor import UNFINISHED
 
@@ -65,6 +67,8 @@ class ConductorNode(RaplNode):
         self.exit_code = UNFINISHED
         self.folder = declare_config(self, ConductorConfig()).run_folder
         self.run = load_config(self.folder)
+        # run_all, where it is the parent, holds the lock for all of its nodes.
+        self._lock = RunLock(self.folder, or_by=os.getppid())
         self.watch(topics.WEB if self.run.asks_people else topics.SIMULATED_HUMAN)
         self._book = StageBook(self.folder)
         self._progress = self.publish_to(Progress, topics.PROGRESS, qos.progress())
@@ -74,6 +78,10 @@ class ConductorNode(RaplNode):
             self, self.run, self.folder, self._advance, self._wait_for
         )
         self._start = self.steady_timer(0.1, self._begin)
+
+    def close(self) -> None:
+        """Let another run into the folder."""
+        self._lock.close()
 
     def _begin(self) -> None:
         self._start.cancel()

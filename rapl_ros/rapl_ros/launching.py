@@ -22,6 +22,7 @@ from rapl_ros.node_table import (
     run_parameters,
 )
 from rapl_ros.run_config import CONFIG_FILE, RunConfig, check_writable, load_config, save_config
+from rapl_ros.run_lock import refuse_if_running
 from rapl_ros.settings import checked, continued
 
 
@@ -95,6 +96,8 @@ def plan(given: Mapping[str, str]) -> list[LaunchedNode]:
     task = str(asked.get("task", _DEFAULT.task))
     folder = Path(given["run_folder"] or Path("runs") / task / "launched")
     chosen = _chosen(given["nodes"])
+    if chosen is None or any(entry.ends for entry in chosen):
+        refuse_if_running(folder)
     config = _run_config(asked, folder)
     entries = entries_of(config) if chosen is None else chosen
     values = run_parameters(config, folder)

@@ -11,6 +11,7 @@ from rapl_core.preferences.simulated_human import HumanKnobs
 from rapl_core.preferences.strategies import STRATEGIES
 from rapl_core.preferences.wishes import wish_names
 from rapl_ros.run_config import CONFIG_FILE, RESULTS_FILE, RunConfig, load_config
+from rapl_ros.run_lock import is_running
 from rapl_ros.settings import (
     HUMANS,
     NOISES,
@@ -263,9 +264,11 @@ def _folder_to_resume(arguments: argparse.Namespace, tasks: Sequence[str], runs:
         for path in (runs / arguments.task).glob(f"*/{CONFIG_FILE}")
         if not (path.parent / RESULTS_FILE).exists()
     ]
-    if not found:
-        raise RaplError(f"no unfinished run of {arguments.task} in {runs / arguments.task}")
-    return max(found, key=lambda folder: (folder / CONFIG_FILE).stat().st_mtime)
+    idle = [folder for folder in found if not is_running(folder)]
+    if not idle:
+        busy = f" but {len(found)} at work now" if found else ""
+        raise RaplError(f"no unfinished run of {arguments.task} in {runs / arguments.task}{busy}")
+    return max(idle, key=lambda folder: (folder / CONFIG_FILE).stat().st_mtime)
 
 
 def _given(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from rapl_ros.console import Console
 from rapl_ros.domain import graph_environment
 from rapl_ros.options import RunRequest, build_parser, listing, parse
 from rapl_ros.run_config import WEB_ADDRESS_FILE, check_writable, save_config
+from rapl_ros.run_lock import RunLock
 from rapl_ros.supervisor import Supervisor, describe_exit
 
 POLL_S = 0.1
@@ -49,7 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     console = Console(sys.stdout)
     try:
         check_writable(request.folder)
-        return run(request, console)
+        with RunLock(request.folder):
+            return run(request, console)
     except RaplError as error:
         print(f"./run_all.sh: {error}", file=sys.stderr)
         return 1
