@@ -17,7 +17,7 @@ WARN: Final = DiagnosticStatus.WARN
 ERROR: Final = DiagnosticStatus.ERROR
 
 BAD_INPUT_S: Final = 10.0
-"""For so long a message that was refused stands as a warning."""
+"""For so long a message that was refused, or could not be worked on, stands as a condition."""
 
 
 class Diagnostics:
@@ -34,6 +34,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics()
         )
+        self._lock = threading.RLock()
         self._conditions: dict[str, tuple[bytes, str]] = {}
         self._ends_s: dict[str, float] = {}
         self.counters: Counter[str] = Counter()
@@ -45,9 +46,11 @@ class Diagnostics:
 
     def warn_for(self, seconds: float, key: str, message: str) -> None:
         """Something bad came in: a warning that ends by itself when none comes for so long."""
-        with self._lock:
-            self._set(key, WARN, message)
-            self._ends_s[key] = time.monotonic() + seconds
+        self._set(key, WARN, message, seconds)
+
+    def error_for(self, seconds: float, key: str, message: str) -> None:
+        """Something bad came in that spoils a result: an error that ends by itself likewise."""
+        self._set(key, ERROR, message, seconds)
 
     def error(self, key: str, message: str) -> None:
         """Something is wrong that somebody must repair."""
@@ -100,12 +103,16 @@ class Diagnostics:
             values=values,
         )
 
-    def _set(self, key: str, level: bytes, message: str) -> None:
+    def _set(self, key: str, level: bytes, message: str, seconds: float | None = None) -> None:
         with self._lock:
             known = self._conditions.get(key)
-            if known == (level, message):
-                return
             self._conditions[key] = (level, message)
+            if seconds is None:
+                self._ends_s.pop(key, None)
+            else:
+                self._ends_s[key] = time.monotonic() + seconds
+        if known == (level, message):
+            return
         if known is None or known[0] < level:
             logger = self._node.get_logger()
             if level == ERROR:

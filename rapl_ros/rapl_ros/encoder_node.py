@@ -27,6 +27,7 @@ from rapl_core.streaming.batching import BatchQueue
 from rapl_core.streaming.reward_rule import RewardRule
 from rapl_core.types import ExpertSet
 from rapl_ros import conversions, qos, topics
+from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters
 from rapl_ros.wire import EmbeddedFrame, JoinKey
@@ -209,7 +210,7 @@ class EncoderNode(RaplNode):
             frame = decode(msg)
         except RaplError as error:
             self.diagnostics.count("corrupt_images")
-            self.diagnostics.error("corrupt image", f"{key.frame_id}: {error}")
+            self.diagnostics.error_for(BAD_INPUT_S, "corrupt image", f"{key.frame_id}: {error}")
             self._fail(at_work, [key])
             return
         self._queue.put(_Picture(key, frame))
@@ -243,7 +244,7 @@ class EncoderNode(RaplNode):
                 values = at_work.encoder.embed(frames, batch_size=len(frames))  # (N, D)
         except (RaplError, RuntimeError) as error:
             self.diagnostics.count("failed_embeddings", len(keys))
-            self.diagnostics.error("embedding", f"{info.name}: {error}")
+            self.diagnostics.error_for(BAD_INPUT_S, "embedding", f"{info.name}: {error}")
             self._fail(at_work, keys)
             return
         with self.diagnostics.shares.of("ros"):
@@ -253,7 +254,9 @@ class EncoderNode(RaplNode):
                     self._embeddings.publish(conversions.embedding_to_ros(frame))
                 else:
                     self.diagnostics.count("nan_embeddings")
-                    self.diagnostics.error("NaN embedding", f"{info.name}: {key.frame_id}")
+                    self.diagnostics.error_for(
+                        BAD_INPUT_S, "NaN embedding", f"{info.name}: {key.frame_id}"
+                    )
                     self._fail(at_work, [key])
         self.diagnostics.count("embeddings", len(keys))
 

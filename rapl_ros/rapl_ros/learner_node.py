@@ -20,6 +20,7 @@ from rapl_core.errors import RaplError
 from rapl_core.policies import SacConfig, SacTrainer, ScheduleConfig
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import wakeable_future
+from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.learner_session import LearnerSession, fresh_or_refuse
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
@@ -299,7 +300,9 @@ class LearnerNode(RaplNode):
             late = session.expire_rewards(self.config.reward_deadline_s)
             if late:
                 self.diagnostics.count("late_rewards", len(late))
-                self.diagnostics.warn("rewards", f"no reward came for {late[0]} in time")
+                self.diagnostics.warn_for(
+                    BAD_INPUT_S, "rewards", f"no reward came for {late[0]} in time"
+                )
             if session.metrics_failure:
                 self.diagnostics.warn("metrics", session.metrics_failure)
             else:
@@ -319,7 +322,7 @@ class LearnerNode(RaplNode):
         try:
             whose, trace = conversions.reward_from_ros(msg)
         except RaplError as error:
-            self.diagnostics.error("bad reward", str(error))
+            self.diagnostics.error_for(BAD_INPUT_S, "bad reward", str(error))
             return
         session.reward(whose, trace, msg.reason)
         if trace is None:

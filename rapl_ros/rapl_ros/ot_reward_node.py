@@ -13,7 +13,9 @@ from rapl_msgs import msg as wire_msg
 
 from rapl_core.errors import RaplError
 from rapl_core.streaming.reward_desk import DeskConfig, RewardDecision, RewardDesk
+from rapl_core.types import RewardTrace
 from rapl_ros import conversions, qos, topics
+from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
 from rapl_ros.wire import EpisodeReward, Instant
@@ -49,7 +51,8 @@ class OtRewardNode(RaplNode):
         try:
             state: Instant = conversions.state_from_ros(msg)
         except RaplError as error:
-            self._refuse("state", error)
+            self.diagnostics.count("refused_state")
+            self.diagnostics.error_for(BAD_INPUT_S, "bad state", str(error))
             return
         with self.diagnostics.shares.of("transport"):
             decisions = self._desk.add_state(state, time.monotonic())
@@ -74,6 +77,7 @@ class OtRewardNode(RaplNode):
         except RaplError as error:
             self._refuse("encoder_info", error)
             return
+        self.diagnostics.clear("bad encoder_info")
         self.get_logger().info(f"encoder {msg.encoder} version {msg.version}: {rule}")
         self._publish(self._desk.set_rule(msg.version, rule))
 
@@ -83,6 +87,7 @@ class OtRewardNode(RaplNode):
         except RaplError as error:
             self._refuse("experts", error)
             return
+        self.diagnostics.clear("bad experts")
         self._publish(self._desk.set_experts(experts))
 
     def _on_check(self) -> None:
@@ -123,8 +128,20 @@ class OtRewardNode(RaplNode):
                 self._rewards.publish(conversions.invalid_reward_to_ros(whose, decision.reason))
             else:
                 self._rewards.publish(conversions.reward_to_ros(whose, decision.trace))
+                self._check_convergence(last.episode_id, decision.trace)
+
+    def _check_convergence(self, episode_id: str, trace: RewardTrace) -> None:
+        if not trace.converged:
+            self.diagnostics.count("unconverged")
+            self.diagnostics.warn_for(
+                BAD_INPUT_S,
+                "transport",
+                f"the solver did not converge for {episode_id}: marginal error "
+                f"{trace.marginal_error:.1e} after {trace.iterations} iterations",
+            )
 
     def _refuse(self, topic: str, error: RaplError) -> None:
+        """What is latched is refused until a better one comes."""
         self.diagnostics.count(f"refused_{topic}")
         self.diagnostics.error(f"bad {topic}", str(error))
 

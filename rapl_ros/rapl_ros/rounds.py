@@ -14,6 +14,7 @@ from rapl_core.errors import RaplError
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import wakeable_future
 from rapl_ros.calls import CallError, call
+from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.node import RaplNode
 from rapl_ros.wire import Command, Instant
 
@@ -117,7 +118,7 @@ class Rounds:
             instant = conversions.state_from_ros(msg)
         except RaplError as error:
             self._node.diagnostics.count("refused_states")
-            self._node.diagnostics.error("bad state", str(error))
+            self._node.diagnostics.error_for(BAD_INPUT_S, "bad state", str(error))
             return
         if self._round is not None:
             self._round.take(instant)

@@ -2,14 +2,18 @@
 
 import os
 import signal
+import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs.msg import Heartbeat
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_harness import DISCOVERY_S, Probe, ros
 from sensor_msgs.msg import Image
@@ -207,8 +211,56 @@ def test_conditions_stand_until_cleared_and_counters_are_told(watcher):
     probe.until(lambda: probe.status_of("watcher")["level"] == "1", 5.0, "only a warning")
 
 
-def test_a_warning_about_bad_input_ends_by_itself(watcher):
+def test_a_condition_about_bad_input_ends_by_itself(watcher):
     node, probe = watcher
     node.diagnostics.warn_for(0.3, "image", "corrupt")
-    assert node.diagnostics.conditions == {"image": "corrupt"}
+    node.diagnostics.error_for(0.3, "embedding", "NaN")
+    assert node.diagnostics.conditions == {"image": "corrupt", "embedding": "NaN"}
     probe.until(lambda: not node.diagnostics.conditions, 5.0, "it ends")
+
+
+def test_the_same_condition_again_lasts_until_cleared_or_longer(watcher):
+    node, _ = watcher
+    node.diagnostics.warn_for(0.01, "image", "corrupt")
+    node.diagnostics.warn_for(60.0, "image", "corrupt")
+    node.diagnostics.error_for(0.01, "disk", "full")
+    node.diagnostics.error("disk", "full")
+    time.sleep(0.05)
+    node.diagnostics.publish()
+    assert node.diagnostics.conditions == {"image": "corrupt", "disk": "full"}
+    node.diagnostics.clear("image")
+    node.diagnostics.clear("disk")
+
+
+def test_a_worker_thread_may_report_while_the_status_is_published(watcher, monkeypatch):
+    node, _ = watcher
+    diagnostics = node.diagnostics
+    monkeypatch.setattr(diagnostics, "_publisher", SimpleNamespace(publish=lambda message: None))
+    node.get_logger().set_level(LoggingSeverity.FATAL)
+    interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    for number in range(200):
+        diagnostics.warn(f"standing {number}", "bad")
+    failed: list[RuntimeError] = []
+    ends_s = time.monotonic() + 2.0
+
+    def repeat(report: Callable[[], None]) -> None:
+        try:
+            while time.monotonic() < ends_s and not failed:
+                report()
+        except RuntimeError as error:
+            failed.append(error)
+
+    def come_and_go() -> None:
+        diagnostics.error("embedding", "NaN")
+        diagnostics.clear("embedding")
+
+    worker = threading.Thread(target=repeat, args=[come_and_go])
+    worker.start()
+    try:
+        repeat(diagnostics.publish)
+    finally:
+        worker.join()
+        sys.setswitchinterval(interval_s)
+        node.get_logger().set_level(LoggingSeverity.INFO)
+    assert not failed

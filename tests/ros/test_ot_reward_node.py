@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs import msg as wire_msg
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
 
@@ -43,6 +44,7 @@ class Robot:
         self.infos = publisher(wire_msg.EncoderInfo, topics.ENCODER_INFO, qos.latched())
         self.experts = publisher(wire_msg.ExpertSet, topics.EXPERTS, qos.latched())
         self.rewards = probe.listen(wire_msg.Reward, topics.REWARD, qos.event())
+        probe.listen(DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics())
         self._stamp_ns = 0
 
     def wait_for_node(self) -> None:
@@ -210,6 +212,29 @@ def test_without_experts_the_episode_is_dropped_in_time(robot: Robot) -> None:
     robot.play("lonely", "dddd", seed=7)
     msg = robot.reward_of("lonely", deadline_s=5.0)
     assert not msg.valid and "version dddd" in msg.reason
+
+
+def test_a_solver_that_does_not_converge_is_counted_and_told(robot: Robot) -> None:
+    hurried = TransportConfig(cost="cosine", solver="sinkhorn", epsilon=0.001, max_iterations=10)
+    robot.describe("hurried", RewardRule("ot", 3.0, hurried))
+    robot.play("train-hurried", "hurried", seed=30)
+    assert not robot.reward_of("train-hurried").converged
+    status = robot.probe.until(
+        lambda: robot.probe.status_of(topics.OT_REWARD).get("transport"), 5.0, "a warning"
+    )
+    assert "did not converge for train-hurried: marginal error" in status
+    assert int(robot.probe.status_of(topics.OT_REWARD)["unconverged"]) >= 1
+
+
+def test_a_bad_description_of_an_encoder_stands_until_a_good_one_comes(robot: Robot) -> None:
+    robot.infos.publish(wire_msg.EncoderInfo(encoder="rapl", version="bad", reward_kind="luck"))
+    robot.probe.until(
+        lambda: "bad encoder_info" in robot.probe.status_of(topics.OT_REWARD), 5.0, "an error"
+    )
+    robot.describe("good")
+    robot.probe.until(
+        lambda: "bad encoder_info" not in robot.probe.status_of(topics.OT_REWARD), 5.0, "the end"
+    )
 
 
 def test_it_says_that_the_encoder_is_missing(robot: Robot) -> None:
