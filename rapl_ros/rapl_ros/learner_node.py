@@ -32,6 +32,9 @@ from rapl_ros.wire import PolicyRecord, World
 TICK_S = 0.5
 """Between two looks at deadlines, and between two Metrics."""
 
+GIVEN_OTHERWISE = ("steps", "worlds")
+"""Of the schedule: the goal says how many steps, world_info how many worlds."""
+
 
 @dataclass(frozen=True)
 class LearnerConfig:
@@ -68,7 +71,9 @@ class LearnerNode(RaplNode):
         super().__init__(topics.LEARNER, peers=peers, **options)
         self.config = declare_config(self, LearnerConfig())
         self._sac = declare_config(self, SacConfig(), "sac")
-        self._schedule = declare_config(self, ScheduleConfig(), "schedule")
+        self._schedule = declare_config(
+            self, ScheduleConfig(), "schedule", left_out=GIVEN_OTHERWISE
+        )
         torch.set_num_threads(self.config.threads)
         self._session: LearnerSession | None = None
         self._world: World | None = None

@@ -92,6 +92,8 @@ class _Field:
             if self.choices and element not in self.choices and not is_null:
                 known = ", ".join(map(str, self.choices))
                 raise ParameterError(f"parameter '{self.name}' is '{element}'; known: {known}")
+            if self.kind is float and not self.is_optional and math.isnan(element):
+                raise ParameterError(f"parameter '{self.name}' is nan, expected a number")
             below = self.minimum is not None and element < self.minimum
             above = self.maximum is not None and element > self.maximum
             if below or above:
@@ -130,16 +132,25 @@ class ConfigParameters(Generic[Config]):
     :param prefix: dotted group in which the fields stand; empty for the node's own.
     :param writable: dotted field names (without prefix) that may change at run time; the node sees
         a change by reading ``value`` again. All others are read-only.
+    :param left_out: dotted field names (without prefix) that are no parameters, for the node gets
+        them in another way; ``value`` has their defaults.
     :raises ParameterError: if an override has another type, is out of range or is refused by the
         dataclass itself.
     """
 
     def __init__(
-        self, node: Node, defaults: Config, prefix: str = "", writable: Iterable[str] = ()
+        self,
+        node: Node,
+        defaults: Config,
+        prefix: str = "",
+        writable: Iterable[str] = (),
+        left_out: Iterable[str] = (),
     ) -> None:
         self._defaults = defaults
         self._prefix = prefix
-        self._fields = {field.name: field for field, _ in _leaves(defaults, prefix)}
+        missing = {_join(prefix, name) for name in left_out}
+        leaves = [leaf for leaf in _leaves(defaults, prefix) if leaf[0].name not in missing]
+        self._fields = {field.name: field for field, _ in leaves}
         changeable = {_join(prefix, name) for name in writable}
         unknown = changeable - set(self._fields)
         if unknown:
@@ -148,7 +159,7 @@ class ConfigParameters(Generic[Config]):
             )
         values = {
             field.name: _declare(node, field, value, field.name not in changeable)
-            for field, value in _leaves(defaults, prefix)
+            for field, value in leaves
         }
         self._values = values
         self.value: Config = self._rebuild(values)
@@ -178,13 +189,17 @@ class ConfigParameters(Generic[Config]):
 
 
 def declare_config(
-    node: Node, defaults: Config, prefix: str = "", writable: Iterable[str] = ()
+    node: Node,
+    defaults: Config,
+    prefix: str = "",
+    writable: Iterable[str] = (),
+    left_out: Iterable[str] = (),
 ) -> Config:
     """Declare ``defaults`` as parameters and return the config as overridden by the user.
 
     For a config with writable fields keep the ``ConfigParameters`` instead.
     """
-    return ConfigParameters(node, defaults, prefix, writable).value
+    return ConfigParameters(node, defaults, prefix, writable, left_out).value
 
 
 def _declare(node: Node, field: _Field, default: Any, read_only: bool) -> Any:
@@ -264,7 +279,7 @@ def _replaced(
         name = _join(prefix, field.name)
         if name in leaves:
             changes[field.name] = leaves[name].from_ros(values[name])
-        elif field.init:
+        elif is_dataclass(getattr(config, field.name)):
             changes[field.name] = _replaced(getattr(config, field.name), name, leaves, values)
     return replace(config, **changes)
 

@@ -4,6 +4,7 @@ import ast
 import importlib
 import importlib.util
 import re
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import ModuleType
@@ -192,13 +193,26 @@ def test_the_picture_of_the_graph_has_the_names_of_the_code() -> None:
     assert {name for _, label, _ in edges for name in label.split(", ")} <= wire_names()
 
 
-def _leaves(config: Any, prefix: str) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _leaves(config: Any, prefix: str) -> dict[str, tuple[Any, str]]:
+    """Value and range of every parameter."""
+    found: dict[str, tuple[Any, str]] = {}
     for field in fields(config):
         value = getattr(config, field.name)
         name = f"{prefix}{field.name}"
-        found |= _leaves(value, f"{name}.") if is_dataclass(value) else {name: value}
+        leaf = {name: (value, _range(field.metadata))}
+        found |= _leaves(value, f"{name}.") if is_dataclass(value) else leaf
     return found
+
+
+def _range(metadata: Mapping[str, Any]) -> str:
+    low, high = metadata.get("minimum"), metadata.get("maximum")
+    if low is None:
+        return ""
+    return f"from {low:g}" if high is None else f"{_number(low)} to {_number(high)}"
+
+
+def _number(value: float) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _shown(value: Any) -> str:
@@ -212,14 +226,21 @@ def _shown(value: Any) -> str:
 @pytest.mark.parametrize("node", sorted(CONFIGS))
 def test_parameters_and_their_defaults_are_those_of_the_code(node: str) -> None:
     ros_module("rclpy")
-    expected: dict[str, str] = {}
+    expected: dict[str, tuple[str, str]] = {}
     for module, name, prefix in CONFIGS[node]:
         config = getattr(ros_module(module), name)()
-        expected |= {key: _shown(value) for key, value in _leaves(config, prefix).items()}
+        expected |= {key: (_shown(v), span) for key, (v, span) in _leaves(config, prefix).items()}
     if "clock_file" in expected:
-        expected["clock_file"] = "~/.ros/rapl/simulator_clock.json"
+        expected["clock_file"] = ("~/.ros/rapl/simulator_clock.json", "")
+    if node == "learner":
+        for name in ros_module("rapl_ros.learner_node").GIVEN_OTHERWISE:
+            del expected[f"schedule.{name}"]
     table = rows(section(INTERFACES.read_text(), f"`{node}`"))
-    assert {cells[0].strip("`"): cells[1].strip("`") for cells in table} == expected
+    said = {
+        cells[0].strip("`"): (cells[1].strip("`"), "" if "`" in cells[2] else cells[2])
+        for cells in table
+    }
+    assert said == expected
 
 
 def test_the_table_of_results_is_what_the_results_files_say() -> None:

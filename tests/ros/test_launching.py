@@ -92,7 +92,7 @@ def test_a_part_of_the_nodes_can_be_launched(tmp_path: Path) -> None:
         ({"steps": "-5"}, "steps is -5, expected 1 or more"),
         ({"seed": "-1"}, "seed is -1, expected 0 or more"),
         ({"pool_episodes": "3"}, "pool_episodes is 3, expected 12 or more"),
-        ({"evaluate_every": "0"}, "evaluate_every is 0, expected 1 or more"),
+        ({"evaluate_every": "-1"}, "evaluate_every is -1, expected 0 or more"),
         ({"task": "juggling"}, "unknown task 'juggling'; known: .*franka_group"),
         ({"reward": "raplx"}, "unknown reward 'raplx'; known: .*rapl"),
         ({"reward": "supervised_probe"}, "never for learning"),

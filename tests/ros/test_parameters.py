@@ -1,7 +1,7 @@
 """Config dataclasses as parameters, and back."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
@@ -9,7 +9,9 @@ import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rapl_core.errors import ShapeError
+from rapl_core.errors import RaplError, ShapeError
+from rapl_core.policies import SacConfig, ScheduleConfig
+from rapl_core.streaming.reward_desk import DeskConfig
 from rapl_ros.parameters import ConfigParameters, ParameterError, declare_config, field_docs
 
 pytestmark = pytest.mark.usefixtures("rclpy_context")
@@ -101,6 +103,7 @@ def test_descriptions_come_from_metadata_or_the_docstring_under_the_field(make_n
     [
         ("solver.iterations", 0, "solver.iterations"),
         ("solver.iterations", 1001, "solver.iterations"),
+        ("solver.epsilon", float("nan"), "parameter 'solver.epsilon' is nan, expected a number"),
         ("solver.iterations", "many", "another type than integer"),
         ("cost", "manhattan", "parameter 'cost' is 'manhattan'; known: cosine, euclidean"),
     ],
@@ -108,6 +111,46 @@ def test_descriptions_come_from_metadata_or_the_docstring_under_the_field(make_n
 def test_a_bad_override_is_refused_by_name(make_node, name, value, complaint):
     with pytest.raises(ParameterError, match=complaint):
         declare_config(make_node(Parameter(name, value=value)), Config())
+
+
+def test_what_is_left_out_is_no_parameter_and_keeps_its_default(make_node):
+    node = make_node(Parameter("c.name", value="other"), Parameter("c.enabled", value=False))
+    config = declare_config(node, Config(), "c", left_out=["name", "solver.epsilon"])
+    assert config == Config(enabled=False)
+    assert not node.has_parameter("c.name") and not node.has_parameter("c.solver.epsilon")
+    assert node.has_parameter("c.solver.iterations")
+
+
+@pytest.mark.parametrize(
+    ("defaults", "name", "value"),
+    [
+        (DeskConfig(), "embedding_deadline_s", -1.0),
+        (DeskConfig(), "state_deadline_s", 0.0),
+        (DeskConfig(), "human_reward_scale", float("nan")),
+        (DeskConfig(), "human_reward_scale", -2.0),
+        (SacConfig(), "batch_size", 0),
+        (SacConfig(), "learning_rate", -1e-3),
+        (SacConfig(), "discount", 1.5),
+        (SacConfig(), "entropy_coefficient", "automatic"),
+        (SacConfig(), "entropy_coefficient", "auto_0"),
+        (ScheduleConfig(), "train_ratio", -1.0),
+        (ScheduleConfig(), "train_ratio", float("inf")),
+        (ScheduleConfig(), "evaluate_every", -1),
+    ],
+)
+def test_nonsense_about_rewards_and_learning_is_refused_by_name(make_node, defaults, name, value):
+    with pytest.raises(RaplError, match=name):
+        declare_config(make_node(Parameter(name, value=value)), defaults)
+
+
+def test_numbers_of_rewards_and_learning_have_a_range(make_node):
+    node = make_node()
+    for defaults in (DeskConfig(), SacConfig(), ScheduleConfig()):
+        declare_config(node, defaults)
+        for field_ in fields(defaults):
+            if isinstance(getattr(defaults, field_.name), int | float):
+                described = node.describe_parameter(field_.name)
+                assert described.integer_range or described.floating_point_range, field_.name
 
 
 def test_what_the_dataclass_itself_refuses_is_refused_with_its_reason(make_node):

@@ -1,8 +1,9 @@
 """One reward for every episode that began, from whatever arrives in whatever order."""
 
+import math
 from collections import OrderedDict
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
 from rapl_core.errors import RaplError
@@ -43,15 +44,25 @@ class DeskConfig:
     source: RewardSource = "embedding"
     """``embedding``: from the encoder, by its own rule. ``human_reward``: r* of the states, the
     oracle; needs a simulator that knows it."""
-    human_reward_scale: float = 1.0
+    human_reward_scale: float = field(default=1.0, metadata={"minimum": 0.0})
     """Factor on r*, only with ``human_reward``."""
-    embedding_deadline_s: float = 5.0
+    embedding_deadline_s: float = field(default=5.0, metadata={"minimum": 0.1, "maximum": 3600.0})
     """Seconds of wall time without any embedding after which those of an ended episode are given
     up, and in which the experts of a new encoder must arrive."""
-    embedding_limit_s: float = 45.0
+    embedding_limit_s: float = field(default=45.0, metadata={"minimum": 0.1, "maximum": 3600.0})
     """Seconds of wall time after the last state in which embeddings must arrive in any case."""
-    state_deadline_s: float = 5.0
+    state_deadline_s: float = field(default=5.0, metadata={"minimum": 0.1, "maximum": 3600.0})
     """Seconds of wall time without any state after which an episode has stopped."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "human_reward_scale",
+            "embedding_deadline_s",
+            "embedding_limit_s",
+            "state_deadline_s",
+        ):
+            if not 0 < getattr(self, name) < math.inf:
+                raise RaplError(f"{name} is {getattr(self, name)}, expected more than 0")
 
 
 class RewardDesk:
