@@ -2,6 +2,7 @@
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -73,11 +74,12 @@ class Worker:
 
     def finish(self, timeout_s: float) -> bool:
         """Do all that waits, then end; return whether that came to pass within the time."""
+        deadline_s = time.monotonic() + timeout_s
         try:
             self._queue.put(None, timeout=timeout_s)
         except queue.Full:
             return False
-        self._thread.join(timeout_s)
+        self._thread.join(max(0.0, deadline_s - time.monotonic()))
         return not self._thread.is_alive()
 
     def _work(self) -> None:

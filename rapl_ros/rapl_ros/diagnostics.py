@@ -34,7 +34,6 @@ class Diagnostics:
         self._publisher = node.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.diagnostics()
         )
-        self._lock = threading.RLock()
         self._conditions: dict[str, tuple[bytes, str]] = {}
         self._ends_s: dict[str, float] = {}
         self.counters: Counter[str] = Counter()

@@ -232,7 +232,7 @@ class EncoderNode(RaplNode):
                     if not rclpy.ok():  # being shut down: nothing can be published
                         return
                     self.diagnostics.count("failed_embeddings", len(same))
-                    self.diagnostics.error("embedding", traceback.format_exc())
+                    self.diagnostics.error_for(BAD_INPUT_S, "embedding", traceback.format_exc())
                     self._fail(at_work, [picture.key for picture in same])
 
     def _embed(self, at_work: EncoderAtWork, pictures: list[_Picture]) -> None:

@@ -32,6 +32,8 @@ class NodeEntry:
     """Takes 300 to 600 MiB rather than 65."""
     ends: bool = False
     """Exits when its work is done."""
+    stops_last: bool = False
+    """Keeps what the others made."""
     is_needed: Callable[[RunConfig], bool] = lambda config: True
     """Whether a run starts it unasked."""
 
@@ -45,7 +47,7 @@ NODES: tuple[NodeEntry, ...] = (
     NodeEntry("simulator", "rapl_ros.simulator_node", ("task", "worlds", "clock_file")),
     NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder", "weights"), imports_torch=True),
     NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source", "human_reward_scale")),
-    NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",)),
+    NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",), stops_last=True),
     NodeEntry(
         "preference",
         "rapl_ros.preference_node",
@@ -167,7 +169,11 @@ def process_specs(config: RunConfig, folder: Path, web_host: str = "") -> list[P
     values = run_parameters(config, folder, web_host)
     return [
         ProcessSpec(
-            entry.name, entry.module, ros_arguments(parameters_of(entry, values)), ends=entry.ends
+            entry.name,
+            entry.module,
+            ros_arguments(parameters_of(entry, values)),
+            ends=entry.ends,
+            stops_last=entry.stops_last,
         )
         for entry in entries_of(config, bool(web_host))
     ]

@@ -29,6 +29,9 @@ EPISODES = "episodes"
 WAITING_EPISODES = 64
 """Complete episodes that may wait for the disk: some 2 MB each."""
 
+FINISH_S = 2.5
+"""For those that wait when the node is told to end; the supervisor kills it 0.7 s later."""
+
 
 @dataclass(frozen=True)
 class RecorderConfig:
@@ -60,6 +63,8 @@ class RecorderNode(RaplNode):
         self._store = EpisodeStore(self.config.run_folder / EPISODES)
         self._builder = EpisodeBuilder(self.config.purposes)
         self._writer = Worker(self, "episode writer", WAITING_EPISODES)
+        self._unwritten: dict[str, None] = {}
+        """Ids of the episodes that wait for the disk, in order; the writer takes them out."""
         self._world: World | None = None
         self._subscribed_worlds = 0
         self._cameras: dict[str, Subscription] = {}
@@ -153,18 +158,22 @@ class RecorderNode(RaplNode):
             if isinstance(outcome, LostEpisode):
                 self._lose(outcome.latest.episode_id, outcome.reason)
                 continue
+            episode_id = outcome.first.episode_id
+            self._unwritten[episode_id] = None
             try:
                 self._writer.submit(
                     partial(self._write, outcome, self._world.task if self._world else ""),
-                    partial(self._on_written, outcome.first.episode_id),
+                    partial(self._on_written, episode_id),
                 )
             except QueueFullError as error:
-                self._lose(outcome.first.episode_id, str(error))
+                del self._unwritten[episode_id]
+                self._lose(episode_id, str(error))
 
     def _write(self, recording: Recording, task: str) -> EpisodeRecord:
         """Write an episode; in the writer's thread."""
         episode = recording.episode(task)
         path = self._store.add(episode, recording.joint_track(), recording.latest.terminated)
+        self._unwritten.pop(episode.episode_id, None)
         return EpisodeRecord(
             key=recording.latest.key,
             episode_id=episode.episode_id,
@@ -183,6 +192,7 @@ class RecorderNode(RaplNode):
         error = future.exception()
         if isinstance(error, RaplError):
             self.diagnostics.error("recording", str(error))
+            self._unwritten.pop(episode_id, None)
             self._lose(episode_id, str(error))
             return
         if error is not None:
@@ -197,8 +207,9 @@ class RecorderNode(RaplNode):
 
     def close(self) -> None:
         """Write what is complete."""
-        if not self._writer.finish(timeout_s=3.0):
-            self.get_logger().error(f"{self._writer.waiting} episodes were not written in time")
+        if not self._writer.finish(FINISH_S):
+            lost = ", ".join(self._unwritten)
+            self.get_logger().error(f"episodes that were not written in time: {lost}")
 
 
 if __name__ == "__main__":

@@ -17,8 +17,10 @@ RESTART_LIMIT = 3
 """Restarts of one node before the run is given up; see RESTART_MEMORY_S."""
 RESTART_MEMORY_S = 600.0
 """A restart longer ago than this is forgotten."""
-STOP_PLAN = ((signal.SIGINT, 2.2), (signal.SIGTERM, 0.8), (signal.SIGKILL, 1.0))
+STOP_PLAN = ((signal.SIGINT, 2.4), (signal.SIGTERM, 1.1), (signal.SIGKILL, 1.0))
 """What a process is sent to end it, and for how many seconds it may then take."""
+HEAD_START_S = 0.3
+"""For so long the others end before one that stops last; it has 3.2 s then before it is killed."""
 
 
 class ProcessFailedError(RaplError):
@@ -38,6 +40,8 @@ class ProcessSpec:
     ends: bool = False
     """True for a process that exits when its work is done; only a signal's victim is restarted,
     also one that was asked to end and says so by UNFINISHED."""
+    stops_last: bool = False
+    """True for a process that keeps what the others made."""
 
 
 @dataclass
@@ -117,14 +121,25 @@ class Supervisor:
             alive = self._alive()
             if not alive:
                 break
-            for running in alive:
-                _signal_group(running.process, number)
-                if number == signal.SIGKILL:
-                    killed.append(running.spec.name)
             deadline = time.monotonic() + patience_s
+            last = [running for running in alive if running.spec.stops_last]
+            for running in alive:
+                if running not in last:
+                    _signal_group(running.process, number)
+            if number == signal.SIGINT and last:
+                self._wait_for_others(last)
+            for running in last:
+                _signal_group(running.process, number)
+            if number == signal.SIGKILL:
+                killed = [running.spec.name for running in alive]
             while self._alive() and time.monotonic() < deadline:
                 time.sleep(0.02)
         return killed
+
+    def _wait_for_others(self, last: Sequence[_Running]) -> None:
+        deadline = time.monotonic() + HEAD_START_S
+        while len(self._alive()) > len(last) and time.monotonic() < deadline:
+            time.sleep(0.02)
 
     def _alive(self) -> list[_Running]:
         return [r for r in self._running.values() if r.process.poll() is None]

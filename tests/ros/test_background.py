@@ -1,6 +1,7 @@
 """Work off the executor's thread."""
 
 import threading
+import time
 
 import pytest
 
@@ -59,6 +60,18 @@ def test_finish_does_all_that_waits(probe):
         worker.submit(lambda n=n: done.append(n))
     assert worker.finish(timeout_s=5)
     assert done == [0, 1, 2, 3, 4]
+
+
+def test_finish_has_one_deadline_for_all_it_waits_for(probe):
+    worker = Worker(probe.node, "late", capacity=1)
+    begun, go_on = threading.Event(), threading.Event()
+    worker.submit(lambda: (begun.set(), time.sleep(0.6)))
+    assert begun.wait(5)
+    worker.submit(lambda: go_on.wait(10))  # the queue has room when this begins
+    began_s = time.monotonic()
+    assert not worker.finish(timeout_s=1.0)
+    assert time.monotonic() - began_s < 1.4
+    go_on.set()
 
 
 def test_close_drops_what_waits(probe):

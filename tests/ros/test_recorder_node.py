@@ -1,17 +1,22 @@
 """The recorder with cameras and states that are not the simulator's."""
 
 import io
+import threading
+from types import SimpleNamespace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from PIL import Image as PillowImage
 from rapl_msgs.msg import Action, EpisodeInfo, Heartbeat, State, WorldInfo
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_harness import DISCOVERY_S
 from sensor_msgs.msg import CompressedImage, Image
 
 from rapl_core.episodes.store import EpisodeStore
-from rapl_ros import conversions, qos, topics
+from rapl_core.errors import RaplError
+from rapl_ros import conversions, qos, recorder_node, topics
+from rapl_ros.recorder_node import RecorderNode
 from rapl_ros.wire import Instant, JoinKey, World, answer
 
 STEPS = 3
@@ -185,3 +190,35 @@ def test_the_same_episode_twice_is_an_error_and_the_first_stays(probe, start, tm
         lambda: "already stored" in probe.status_of("recorder").get("message", ""), 10.0, "error"
     )
     assert stored(tmp_path, "real-4").stamps_ns[0] == before
+
+
+def test_episodes_that_were_not_written_in_time_are_named(probe, tmp_path, monkeypatch):
+    class SlowDisk(EpisodeStore):
+        def add(self, *episode):
+            go_on.wait(10.0)
+            raise RaplError("too late")
+
+    def complete(name):
+        outcome = SimpleNamespace(
+            first=SimpleNamespace(episode_id=name),
+            latest=SimpleNamespace(terminated=False),
+            episode=lambda task: SimpleNamespace(episode_id=name),
+            joint_track=lambda: None,
+        )
+        node._handle([outcome])
+
+    go_on, said = threading.Event(), []
+    monkeypatch.setattr(recorder_node, "FINISH_S", 0.2)
+    node = RecorderNode(parameter_overrides=[Parameter("run_folder", value=str(tmp_path))])
+    try:
+        probe.executor.add_node(node)
+        node._store = SlowDisk(tmp_path)
+        monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(error=said.append))
+        complete("first")
+        complete("second")
+        node.close()
+        assert said == ["episodes that were not written in time: first, second"]
+    finally:
+        go_on.set()
+        probe.executor.remove_node(node)
+        node.destroy_node()

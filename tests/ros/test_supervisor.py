@@ -11,7 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from rapl_ros.supervisor import ProcessFailedError, ProcessSpec, Supervisor, describe_exit
+from rapl_ros.node_table import NODES
+from rapl_ros.recorder_node import FINISH_S
+from rapl_ros.supervisor import (
+    HEAD_START_S,
+    STOP_PLAN,
+    ProcessFailedError,
+    ProcessSpec,
+    Supervisor,
+    describe_exit,
+)
 
 MODULES = {
     "sleeper": "import time\nprint('awake', flush=True)\ntime.sleep(600)",
@@ -20,6 +29,15 @@ MODULES = {
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         print('deaf', flush=True)
+        time.sleep(600)
+        """,
+    "polite": """
+        import signal, sys, time
+        def end(number, frame):
+            print(f"told {time.monotonic()}", flush=True)
+            sys.exit(0)
+        signal.signal(signal.SIGINT, end)
+        print('awake', flush=True)
         time.sleep(600)
         """,
     "brief": "print('done')",
@@ -150,6 +168,30 @@ def test_stop_ends_a_process_that_ignores_signals_within_five_seconds(
     assert time.monotonic() - began < 5.0
     assert not any(alive(pid) for pid in pids.values())
     assert supervisor.pids() == {}
+
+
+def test_the_recorder_has_the_time_that_it_asks_for() -> None:
+    before_killed_s = sum(patience_s for _, patience_s in STOP_PLAN[:-1])
+    assert FINISH_S + HEAD_START_S + 0.5 < before_killed_s
+    assert before_killed_s + STOP_PLAN[-1][1] < 5.0
+    (recorder,) = (entry for entry in NODES if entry.name == "recorder")
+    assert recorder.stops_last
+
+
+def test_who_keeps_what_the_others_made_is_told_last(
+    supervise: Callable[..., Supervisor], environment: dict[str, str]
+) -> None:
+    supervisor = supervise(
+        spec("polite", stops_last=True), ProcessSpec("other", "polite_module"), spec("stubborn")
+    )
+    for name, word in (("polite", "awake"), ("other", "awake"), ("stubborn", "deaf")):
+        wait_for(logged(supervisor, name, word))
+    supervisor.stop()
+    told = {
+        name: float(supervisor.log_path(name).read_text().split()[-1])
+        for name in ("polite", "other")
+    }
+    assert told["polite"] - told["other"] > HEAD_START_S / 2
 
 
 def test_arguments_and_environment_reach_the_module(
