@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rapl_core.episodes.joints import JointTrack
 from rapl_core.errors import ShapeError
 from rapl_core.types import Episode
+from rapl_ros.spare_images import SpareImages
 from rapl_ros.wire import Command, Instant, JoinKey
 
 Key = TypeVar("Key")
@@ -27,7 +28,11 @@ class BuilderLimits:
     """Wall time without a state after which an unfinished episode is given up; pending states are
     repeated every second."""
     spare_images: int = 1024
-    """Images kept whose state has not come; the oldest go first."""
+    """Images kept whose state has not come, and as many joints and actions; the oldest go first."""
+    spare_megabytes: int = 128
+    """Of these images together."""
+    spare_s: float = 10.0
+    """Wall time for which they are kept."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +153,9 @@ class EpisodeBuilder:
         self._done: OrderedDict[str, None] = OrderedDict()
         self._awaited: dict[JoinKey, tuple[str, int]] = {}
         self._awaited_joints: dict[JoinKey, tuple[str, int]] = {}
-        self._spare: OrderedDict[JoinKey, NDArray[np.uint8]] = OrderedDict()
+        self._spare = SpareImages(
+            self.limits.spare_images, self.limits.spare_megabytes, self.limits.spare_s
+        )
         self._unwanted: OrderedDict[JoinKey, None] = OrderedDict()
         self._spare_joints: OrderedDict[JoinKey, Joints] = OrderedDict()
         self._early: OrderedDict[tuple[str, int], Command] = OrderedDict()
@@ -175,7 +182,7 @@ class EpisodeBuilder:
         recording.instants[instant.step] = instant
         if instant.step > recording.latest.step:
             recording.latest = instant
-        frame = self._spare.pop(instant.image, None)
+        frame = self._spare.pop(instant.image)
         if frame is None:
             self._awaited[instant.image] = (instant.episode_id, instant.step)
         else:
@@ -187,14 +194,14 @@ class EpisodeBuilder:
             recording.joints[instant.step] = joints
         return outcomes + self._finish(recording)
 
-    def add_image(self, key: JoinKey, frame: NDArray[np.uint8]) -> list[Outcome]:
+    def add_image(self, key: JoinKey, frame: NDArray[np.uint8], now_s: float) -> list[Outcome]:
         """Take an image (H, W, 3)."""
         if key in self._unwanted:
             del self._unwanted[key]
             return []
         place = self._awaited.pop(key, None)
         if place is None:
-            _keep(self._spare, key, frame, self.limits.spare_images)
+            self._spare.keep(key, frame, now_s)
             return []
         recording = self._open[place[0]]
         recording.frames[place[1]] = frame
@@ -229,7 +236,8 @@ class EpisodeBuilder:
         return self._finish(recording)
 
     def expire(self, now_s: float) -> list[Outcome]:
-        """Give up the episodes whose deadline has passed."""
+        """Give up the episodes whose deadline has passed, and images that are too old."""
+        self._spare.expire(now_s)
         outcomes: list[Outcome] = []
         for recording in list(self._open.values()):
             silent_s = now_s - recording.heard_s
@@ -259,7 +267,7 @@ class EpisodeBuilder:
     def _pass_over(self, instant: Instant) -> None:
         if self._spare_joints.pop(instant.key, None) is None:
             self._ignore(instant.key)
-        if self._spare.pop(instant.image, None) is None:
+        if self._spare.pop(instant.image) is None:
             self._ignore(instant.image)
 
     def _ignore(self, key: JoinKey) -> None:

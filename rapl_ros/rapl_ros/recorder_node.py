@@ -18,7 +18,14 @@ from rapl_core.errors import RaplError, ShapeError
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import QueueFullError, Worker
 from rapl_ros.diagnostics import BAD_INPUT_S
-from rapl_ros.episode_builder import EpisodeBuilder, Joints, LostEpisode, Outcome, Recording
+from rapl_ros.episode_builder import (
+    BuilderLimits,
+    EpisodeBuilder,
+    Joints,
+    LostEpisode,
+    Outcome,
+    Recording,
+)
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
 from rapl_ros.wire import EpisodeRecord, World
@@ -46,6 +53,8 @@ class RecorderConfig:
     """Episodes of these purposes are recorded."""
     image_transport: Literal["raw", "compressed"] = "raw"
     """What the camera publishes."""
+    spare_megabytes: int = field(default=128, metadata={"minimum": 1, "maximum": 65536})
+    """Memory for pictures that no state has named (yet); kept for 10 s at most."""
 
 
 class RecorderNode(RaplNode):
@@ -61,7 +70,9 @@ class RecorderNode(RaplNode):
         super().__init__(topics.RECORDER, peers=[topics.SIMULATOR], **options)
         self.config = declare_config(self, RecorderConfig())
         self._store = EpisodeStore(self.config.run_folder / EPISODES)
-        self._builder = EpisodeBuilder(self.config.purposes)
+        self._builder = EpisodeBuilder(
+            self.config.purposes, BuilderLimits(spare_megabytes=self.config.spare_megabytes)
+        )
         self._writer = Worker(self, "episode writer", WAITING_EPISODES)
         self._unwritten: dict[str, None] = {}
         """Ids of the episodes that wait for the disk, in order; the writer takes them out."""
@@ -124,7 +135,8 @@ class RecorderNode(RaplNode):
             self.diagnostics.warn_for(BAD_INPUT_S, f"image on {topic}", str(error))
             self.diagnostics.count("refused_images")
             return
-        self._handle(self._builder.add_image(conversions.key_from_ros(msg.header), frame))
+        key = conversions.key_from_ros(msg.header)
+        self._handle(self._builder.add_image(key, frame, time.monotonic()))
 
     def _on_state(self, msg: State) -> None:
         try:

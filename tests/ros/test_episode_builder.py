@@ -59,7 +59,7 @@ def feed(builder, sent, now_s=0.0):
     outcomes = []
     for kind, payload in sent:
         if kind == "image":
-            outcomes += builder.add_image(*payload)
+            outcomes += builder.add_image(*payload, now_s)
         elif kind == "joints":
             outcomes += builder.add_joints(*payload)
         elif kind == "state":
@@ -176,9 +176,27 @@ def test_other_purposes_are_passed_over_without_keeping_their_images(builder):
 def test_memory_is_bounded_when_states_never_come():
     builder = EpisodeBuilder(["demonstrate"], BuilderLimits(spare_images=10))
     for stamp in range(100):
-        builder.add_image(JoinKey("camera", stamp), picture(0))
+        builder.add_image(JoinKey("camera", stamp), picture(0), 0.0)
         builder.add_joints(JoinKey("world", stamp), Joints((), np.zeros(0), np.zeros(0)))
     assert len(builder._spare) == 10 and len(builder._spare_joints) == 10
+
+
+def test_a_camera_that_runs_free_takes_no_more_memory_than_allowed():
+    builder = EpisodeBuilder(["demonstrate"], BuilderLimits(spare_megabytes=5))
+    picture_of_a_megabyte = np.zeros((500, 2000), np.uint8)
+    for stamp in range(100):
+        builder.add_image(JoinKey("camera", stamp), picture_of_a_megabyte, 0.0)
+    assert len(builder._spare) == 5
+    assert builder._spare.pop(JoinKey("camera", 94)) is None
+    assert builder._spare.pop(JoinKey("camera", 95)) is not None
+    builder.add_image(JoinKey("camera", 99), picture_of_a_megabyte, 0.0)  # again
+    assert len(builder._spare) == 4
+    builder.add_image(JoinKey("camera", 100), picture_of_a_megabyte, 9.0)
+    assert len(builder._spare) == 5
+    builder.add_image(JoinKey("camera", 101), picture_of_a_megabyte, 12.0)
+    assert len(builder._spare) == 2
+    builder.expire(20.0)
+    assert len(builder._spare) == 1
 
 
 def test_without_joints_the_episode_is_complete(builder):

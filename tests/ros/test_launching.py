@@ -4,12 +4,14 @@ so they are compiled and their parts tested, not launched."""
 import ast
 import runpy
 import sys
+from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 import rclpy
+import yaml
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import ReliabilityPolicy
@@ -17,8 +19,10 @@ from sensor_msgs.msg import Image
 
 from rapl_core.errors import RaplError
 from rapl_ros import qos, topics
+from rapl_ros.encoder_node import EncoderNodeConfig
 from rapl_ros.launching import ARGUMENTS, executable_of, plan
 from rapl_ros.node_table import KNOBS, NODES, parameters_of, run_parameters
+from rapl_ros.recorder_node import RecorderConfig
 from rapl_ros.run_config import RunConfig, load_config
 
 BRINGUP = Path(__file__).parents[2] / "ros_ws" / "src" / "rapl_bringup"
@@ -167,6 +171,21 @@ def test_the_launch_file_keeps_the_graph_on_this_machine_unless_told(
     name, value = actions[-2].given
     assert name == "ROS_AUTOMATIC_DISCOVERY_RANGE"
     assert (value.given, value.named) == ((name,), {"default_value": "LOCALHOST"})
+
+
+def test_the_camera_configuration_lets_few_large_pictures_wait() -> None:
+    vga_bytes = 640 * 480 * 3
+    settings = yaml.safe_load((BRINGUP / "config" / "usb_camera.yaml").read_text())
+    known = {
+        "encoder": {field.name for field in fields(EncoderNodeConfig)},
+        "recorder": {field.name for field in fields(RecorderConfig)},
+    }
+    for node, names in known.items():
+        parameters = settings[f"/rapl/{node}"]["ros__parameters"]
+        (override,) = parameters["qos_overrides"].values()
+        assert override["subscription"]["depth"] * vga_bytes < 64e6
+        assert set(parameters) - {"qos_overrides"} <= names
+    assert settings["/rapl/encoder"]["ros__parameters"]["queue_frames"] * vga_bytes < 64e6
 
 
 def test_the_camera_configuration_makes_the_encoder_take_best_effort_pictures() -> None:
