@@ -17,7 +17,7 @@ from rapl_ros.calls import pause
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
 from rapl_ros.progress import ProgressMeter, StageProgress
-from rapl_ros.run_config import load_config
+from rapl_ros.run_config import RunConfig, load_config
 from rapl_ros.run_lock import RunLock
 from rapl_ros.stages import STAGES, Stage, StageContext
 from rapl_ros.supervisor import UNFINISHED
@@ -73,7 +73,8 @@ class ConductorNode(RaplNode):
         self._book = StageBook(self.folder)
         self._progress = self.publish_to(Progress, topics.PROGRESS, qos.progress())
         self._published_s = -math.inf
-        self._meter = ProgressMeter(STAGES[0].name, 1, len(STAGES))
+        self._needed = needed_stages(self.run)
+        self._meter = self._meter_of(self._needed[0])
         self._stage_context = StageContext(
             self, self.run, self.folder, self._advance, self._wait_for
         )
@@ -89,15 +90,19 @@ class ConductorNode(RaplNode):
         self.executor.create_task(self._conduct)
 
     async def _conduct(self) -> None:
-        for index, stage in enumerate(STAGES, start=1):
-            self._meter = ProgressMeter(stage.name, index, len(STAGES))
-            if stage.is_needed(self.run):
+        for stage in STAGES:
+            if stage in self._needed:
+                self._meter = self._meter_of(stage)
                 await self._run_stage(stage)
             else:
                 self._book.skip(stage.name, f"--reward {self.run.reward} does without")
         self.exit_code = 0
         await pause(self, 1.0)  # the last message must leave before the process does
         rclpy.try_shutdown()
+
+    def _meter_of(self, stage: Stage) -> ProgressMeter:
+        """Only what this run needs is numbered."""
+        return ProgressMeter(stage.name, self._needed.index(stage) + 1, len(self._needed))
 
     async def _run_stage(self, stage: Stage) -> None:
         record = self._book[stage.name]
@@ -156,6 +161,11 @@ class ConductorNode(RaplNode):
     def _publish(self, progress: StageProgress) -> None:
         self._published_s = time.monotonic()
         self._progress.publish(conversions.progress_to_ros(progress, time.time_ns()))
+
+
+def needed_stages(run: RunConfig) -> list[Stage]:
+    """The stages of a run, in order."""
+    return [stage for stage in STAGES if stage.is_needed(run)]
 
 
 if __name__ == "__main__":
