@@ -14,8 +14,6 @@ from rapl_core.tasks import get_task
 from rapl_ros.run_config import RunConfig
 from rapl_ros.supervisor import ProcessSpec
 
-NAMESPACE = "/rapl"
-
 ParameterValue = bool | int | float | str
 
 

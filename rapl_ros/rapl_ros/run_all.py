@@ -69,7 +69,6 @@ def run(request: RunRequest, console: Console) -> int:
     from rapl_ros.node_table import process_specs, resolved_parameters
     from rapl_ros.progress_view import ProgressView
     from rapl_ros.summary import summary
-    from rapl_ros.supervisor import Supervisor
 
     config, folder, host = request.config, request.folder, request.web_host
     save_config(config, folder, resolved_parameters(config, folder, environment, host))

@@ -145,10 +145,6 @@ class EpisodeAssembler:
                 outcomes.append(self._drop(episode, self._what_is_missing(episode)))
         return outcomes
 
-    def drop_all(self, reason: str) -> list[Outcome]:
-        """Give every open episode its outcome now, e.g. because the source of rewards changed."""
-        return [self._drop(episode, reason) for episode in list(self._open.values())]
-
     def _drop_superseded(self, state: StateSample) -> list[Outcome]:
         """A world has one episode at a time: a new one ends the unfinished one."""
         return [
