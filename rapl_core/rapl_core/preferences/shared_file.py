@@ -71,8 +71,14 @@ class SharedFile:
     @contextmanager
     def reading(self) -> Iterator[Ledger]:
         """Hold the ledger, up to date with what any process has stored; other threads wait."""
-        with self._lock, self._named_errors():
-            self._catch_up()
+        with self._lock:
+            with self._named_errors():
+                # One snapshot of all tables: a lease without its query would mean nothing.
+                self._connection.execute("BEGIN")
+                try:
+                    self._catch_up()
+                finally:
+                    self._connection.execute("ROLLBACK")
             yield self._ledger
 
     def close(self) -> None:

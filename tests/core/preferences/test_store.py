@@ -7,6 +7,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier
+from typing import Any
 
 import pytest
 
@@ -230,6 +231,25 @@ def test_threads_and_processes_write_at_the_same_time(tmp_path: Path) -> None:
             assert writer.returncode == 0
         assert store.count() == 75
         assert len({r.ranking_id for r in store.all()}) == 75
+
+
+def test_a_reader_sees_a_query_and_its_lease_together(
+    store: RankingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = store._file
+    read = file._new
+
+    def read_while_another_writes(table: str, columns: str) -> list[Any]:
+        rows = read(table, columns)
+        if table == "queries":
+            other.lease(("a", "b", "c"), "ada", "uniform", 60)
+        return rows
+
+    with RankingStore(store.path) as other:
+        monkeypatch.setattr(file, "_new", read_while_another_writes)
+        for seen in range(3):
+            with store.reading() as ledger:
+                assert len(ledger.open_queries(0)) == ledger.queries == seen
 
 
 def test_writers_who_share_a_commit_are_refused_one_by_one(store: RankingStore) -> None:
