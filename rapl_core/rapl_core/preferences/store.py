@@ -101,7 +101,8 @@ class RankingStore:
         """Take back a ranking by a further row and lease its query again.
 
         :param withdrawal_id: id of that row; sent twice, it takes back once.
-        :param ranking_id: what to take back; empty: the annotator's newest that counts.
+        :param ranking_id: what to take back; empty: the annotator's newest that counts among the
+            answers to queries of this store. What was imported or unasked must be named.
         :raises RankingError: if there is none, it is another person's, or was replaced already.
         """
         now = time.time_ns()
@@ -253,11 +254,14 @@ def _to_undo(ledger: Ledger, annotator: str, ranking_id: str) -> Ranking:
             if ranking.annotator == annotator
             and ranking.verdict != "withdrawn"
             and ledger.replaced_by(ranking.ranking_id) is None
+            and ledger.knows_query(ranking.query_id)
         ),
         None,
     )
     if newest is None:
-        raise RankingError(f"nothing to undo: {annotator!r} has no ranking that counts")
+        raise RankingError(
+            f"nothing to undo: {annotator!r} has no answer that counts to a query of this store"
+        )
     return newest
 
 

@@ -60,7 +60,7 @@ def test_progress_counts_what_counts(tmp_path: Path) -> None:
         store.add(given("3", "ada", "abd", (2, 1, 3), response_s=9.0, created_ns=30, replaces="2"))
         store.add(given("4", "bob", "abc", (), verdict="undecided"))
         store.add(given("5", "bob", "abe", (1, 2, 3)))
-        store.undo("bob", "6")
+        store.undo("bob", "6", "5")
         store.lease(("a", "b", "f"), "bob", "uniform", 60)
         with store.reading() as ledger:
             progress = measure_progress(ledger, wanted=5, now_ns=time.time_ns())

@@ -111,20 +111,33 @@ def test_undo_is_a_further_row_and_leases_the_query_again(store: RankingStore) -
 
 
 def test_an_undo_of_nothing_is_refused_with_the_reason(store: RankingStore) -> None:
-    with pytest.raises(RankingError, match="'ada' has no ranking that counts"):
+    with pytest.raises(RankingError, match="'ada' has no answer that counts"):
         store.undo("ada", "u0")
     store.add(ranking("r1"))
     with pytest.raises(RankingError, match="there is no ranking 'r9'"):
         store.undo("ada", "u0", "r9")
     with pytest.raises(RankingError, match="r1 is of 'ada', not of 'bob'"):
         store.undo("bob", "u0", "r1")
-    assert store.undo("ada", "u1").query is None, "it was unasked"
+    assert store.undo("ada", "u1", "r1").query is None, "it was unasked"
     with pytest.raises(RankingError, match="u1 is itself an undo"):
         store.undo("ada", "u2", "u1")
     with pytest.raises(RankingError, match="replaces r1, which u1 has replaced already"):
         store.undo("ada", "u2", "r1")
     with pytest.raises(RankingError, match="r1 is already stored with another content"):
         store.undo("ada", "r1")
+
+
+def test_an_undo_passes_over_what_was_imported_or_unasked_and_takes_back_an_answer(
+    store: RankingStore,
+) -> None:
+    query = store.lease(("a", "b", "c"), "ada", "uniform", 60)
+    store.add(ranking("asked", query_id=query.query_id))
+    store.add(ranking("unasked", episode_ids=("a", "b", "d")))
+    store.add_imported(ranking("imported", query_id="elsewhere", episode_ids=("b", "c", "d")))
+    assert store.undo("ada", "u1").ranking.ranking_id == "asked"
+    with pytest.raises(RankingError, match="no answer that counts"):
+        store.undo("ada", "u2")
+    assert [r.ranking_id for r in store.effective()] == ["unasked", "imported"]
 
 
 def test_a_replayed_lease_and_one_of_somebody_else_are_refused(store: RankingStore) -> None:
