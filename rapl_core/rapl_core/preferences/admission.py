@@ -50,9 +50,10 @@ def check_correction(ranking: Ranking, ledger: Ledger) -> None:
 
 
 def check_answer(ranking: Ranking, ledger: Ledger, now_ns: int) -> None:
-    """Refuse an answer to a query that is unknown, another's, answered, expired or of other videos.
+    """Refuse an answer to a query that is unknown, another's, answered or of other videos.
 
-    A correction of one's own answer may come after the lease.
+    A lease keeps others from being asked the same, so an answer after it is taken too, unless the
+    same has been asked again in the meantime.
 
     :raises RankingError: with the reason.
     """
@@ -79,5 +80,9 @@ def check_answer(ranking: Ranking, ledger: Ledger, now_ns: int) -> None:
             "correction names it in 'replaces'"
         )
     late_s = (now_ns - query.expires_ns) / 1e9
-    if late_s > 0:
-        raise RankingError(f"query {query.query_id} expired {late_s:.0f} s ago")
+    again = ledger.asked_again(query, now_ns) if late_s > 0 else None
+    if again is not None:
+        raise RankingError(
+            f"query {query.query_id} expired {late_s:.0f} s ago, and its videos were asked again "
+            f"in query {again.query_id}"
+        )

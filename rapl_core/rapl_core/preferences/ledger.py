@@ -22,6 +22,7 @@ class Ledger:
         self._answers: defaultdict[str, list[Ranking]] = defaultdict(list)
         self._queries: dict[str, Query] = {}
         self._open: dict[str, Query] = {}
+        self._by_videos: defaultdict[frozenset[str], list[str]] = defaultdict(list)
         self._sets_asked: set[frozenset[str]] = set()
         self._given: Counter[str] = Counter()
 
@@ -45,6 +46,7 @@ class Ledger:
     def add_query(self, query: Query) -> None:
         """Take in the next row of queries."""
         self._queries[query.query_id] = query
+        self._by_videos[frozenset(query.episode_ids)].append(query.query_id)
         self._sort_in(query.query_id)
 
     def add_lease(self, query_id: str, expires_ns: int) -> None:
@@ -113,6 +115,20 @@ class Ledger:
             for query in self._open.values()
             if query.expires_ns > now_ns and (annotator is None or query.annotator == annotator)
         ]
+
+    def asked_again(self, query: Query, now_ns: int) -> Query | None:
+        """A later query about the same videos that is open or answered and makes this one void.
+
+        One that was asked on purpose, of another person, does not.
+        """
+        ids = self._by_videos[frozenset(query.episode_ids)]
+        for query_id in ids[ids.index(query.query_id) + 1 :]:
+            later = self._queries[query_id]
+            is_meant = later.annotator != query.annotator and later.purpose != "new"
+            is_open = query_id in self._open and later.expires_ns > now_ns
+            if not is_meant and (is_open or self.answer_to(query_id) is not None):
+                return later
+        return None
 
     def asked(self, now_ns: int) -> set[frozenset[str]]:
         """The videos of all that was answered, whatever the answer, or is open."""

@@ -25,7 +25,7 @@ class DeskConfig:
     query_size: int = field(default=3, metadata={"minimum": 2, "maximum": LARGEST_QUERY})
     """Videos in a query."""
     lease_s: float = field(default=600.0, metadata={"minimum": 1.0, "maximum": 86400.0})
-    """Wall time in which a query must be answered."""
+    """Wall time for which nobody else is asked the same as a query that is not yet answered."""
     seed: int = field(default=0, metadata={"minimum": 0})
     """The order of queries follows from it."""
     repeat_share: float = field(default=0.0, metadata={"minimum": 0.0, "maximum": 1.0})

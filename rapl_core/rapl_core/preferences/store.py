@@ -61,9 +61,9 @@ class RankingStore:
     def add(self, ranking: Ranking) -> int:
         """Store ``ranking`` and return how many rankings there are; sending twice stores once.
 
-        :raises RankingError: if the episodes are unknown, the query is unknown, expired,
-            answered, somebody else's or about other videos, the ranking that it replaces does not
-            exist or is replaced already, or another ranking has its id.
+        :raises RankingError: if the episodes are unknown, the query is unknown, answered, somebody
+            else's, about other videos or expired and asked again, the ranking that it replaces does
+            not exist or is replaced already, or another ranking has its id.
         """
         return self._add(ranking, check_query=True)
 
@@ -162,7 +162,7 @@ class RankingStore:
         duration_s: float,
         purpose: QueryPurpose = "new",
     ) -> Query:
-        """Hand out a query about ``episode_ids`` that must be answered within ``duration_s``."""
+        """Hand out a query about ``episode_ids``; nobody else gets them for ``duration_s``."""
         choice = Choice(tuple(episode_ids), strategy, purpose)
         return self.lease_next(lambda _: choice, annotator, duration_s)
 

@@ -40,7 +40,7 @@ def run(tmp_path: Path) -> Path:
     with RankingStore(folder / "rankings.sqlite", episodes.__contains__) as store:
         store.add(Ranking("r1", "ada", ("a", "b", "c"), (1, 2, 2), response_s=2.5, created_ns=7))
         store.add(Ranking("r2", "ada", ("a", "b", "c"), (2, 1, 3), replaces="r1", shown_ns=5))
-        store.undo("ada", "u1")
+        store.undo("ada", "u1", "r2")
     return folder
 
 

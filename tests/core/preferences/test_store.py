@@ -212,10 +212,27 @@ def test_a_leased_query_is_open_until_it_is_answered(store: RankingStore) -> Non
     assert store.open_queries() == []
 
 
-def test_an_answer_too_late_or_about_other_videos_is_refused(store: RankingStore) -> None:
+def test_an_answer_after_a_long_break_is_taken_unless_the_same_was_asked_again(
+    store: RankingStore,
+) -> None:
     late = store.lease(("a", "b", "c"), "ada", "uniform", -5)
+    again = store.lease(("c", "b", "a"), "bob", "uniform", 60)
+    with pytest.raises(RankingError, match=f"expired 5 s ago, .* again in query {again.query_id}"):
+        store.add(ranking("r1", query_id=late.query_id))
+    store.add(ranking("r2", annotator="bob", query_id=again.query_id))
     with pytest.raises(RankingError, match="expired 5 s ago"):
-        store.add(ranking(query_id=late.query_id))
+        store.add(ranking("r1", query_id=late.query_id))
+    quiet = store.lease(("a", "b", "d"), "ada", "uniform", -5)
+    store.lease(("a", "b", "d"), "bob", "uniform", -5)  # asked again, and left again
+    shared = store.lease(("a", "b", "d"), "cyd", "shared", 60, "shared")  # meant to be the same
+    answer = {"query_id": quiet.query_id, "episode_ids": ("a", "b", "d")}
+    store.add(ranking("r3", **answer))
+    with pytest.raises(RankingError, match="answered already, by ranking r3"):
+        store.add(ranking("r4", **answer))
+    assert store.open_queries() == [shared]
+
+
+def test_an_answer_about_other_videos_is_refused(store: RankingStore) -> None:
     other = store.lease(("a", "b", "d"), "ada", "uniform", 60)
     with pytest.raises(RankingError, match="its query .* about a, b, d"):
         store.add(ranking(query_id=other.query_id))
