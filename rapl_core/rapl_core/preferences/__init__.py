@@ -1,7 +1,7 @@
 """Rankings: their store, what is made of them, and whom to ask about what."""
 
 from rapl_core.preferences.contest import ContestQueries
-from rapl_core.preferences.exchange import export_jsonl, import_jsonl, read_jsonl
+from rapl_core.preferences.exchange import export_jsonl, export_queries, read_jsonl
 from rapl_core.preferences.expert_set import expert_set, strengths
 from rapl_core.preferences.queries import QuerySelector, UniformQueries
 from rapl_core.preferences.query import Query
@@ -32,7 +32,7 @@ __all__ = [
     "UniformQueries",
     "expert_set",
     "export_jsonl",
-    "import_jsonl",
+    "export_queries",
     "pairs_from",
     "read_jsonl",
     "split_rankings",

@@ -1,9 +1,13 @@
 """Rankings to and from JSON lines, for people and for other programs."""
 
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 
 from rapl_core.atomic import write_atomically
 from rapl_core.errors import RankingError
+from rapl_core.preferences.query import Query
 from rapl_core.preferences.ranking_json import ranking_from_json, ranking_to_json
 from rapl_core.preferences.store import RankingStore
 from rapl_core.types import Ranking
@@ -15,9 +19,30 @@ def export_jsonl(store: RankingStore, path: Path | str) -> int:
     :raises RankingError: if ``path`` cannot be written.
     """
     rankings = store.all()
-    lines = "".join(f"{ranking_to_json(ranking)}\n" for ranking in rankings)
-    write_atomically(path, lines, "rankings to", error=RankingError)
+    _write_lines(Path(path), (ranking_to_json(ranking) for ranking in rankings), "rankings")
     return len(rankings)
+
+
+def export_queries(store: RankingStore, path: Path | str) -> int:
+    """Write every query ever handed out, one a line, and return how many; atomic.
+
+    Who was asked what, why and when, answered or not; rankings name them in ``query_id``.
+
+    :raises RankingError: if ``path`` cannot be written.
+    """
+    with store.reading() as ledger:
+        queries = list(ledger.queries_handed_out())
+    _write_lines(Path(path), map(_query_to_json, queries), "queries")
+    return len(queries)
+
+
+def _query_to_json(query: Query) -> str:
+    return json.dumps(asdict(query), sort_keys=True, ensure_ascii=False)
+
+
+def _write_lines(path: Path, lines: Iterable[str], what: str) -> None:
+    text = "".join(f"{line}\n" for line in lines)
+    write_atomically(path, text, f"{what} to", error=RankingError)
 
 
 def read_jsonl(path: Path | str) -> list[Ranking]:
@@ -27,7 +52,8 @@ def read_jsonl(path: Path | str) -> list[Ranking]:
     """
     rankings = []
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        # Not splitlines: JSON leaves line separators such as U+2028 in a name as they are.
+        lines = Path(path).read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise RankingError(f"cannot read rankings from {path}: {error}") from error
     for number, line in enumerate(lines, start=1):
@@ -38,14 +64,3 @@ def read_jsonl(path: Path | str) -> list[Ranking]:
         except RankingError as error:
             raise RankingError(f"{path}, line {number}: {error}") from error
     return rankings
-
-
-def import_jsonl(path: Path | str, store: RankingStore) -> int:
-    """Add the rankings in ``path`` that ``store`` lacks and return how many those were.
-
-    :raises RankingError: if a line is no ranking (nothing is added then) or is refused.
-    """
-    before = store.count()
-    for ranking in read_jsonl(path):
-        store.add_imported(ranking)
-    return store.count() - before

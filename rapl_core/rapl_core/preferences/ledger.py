@@ -1,7 +1,7 @@
 """What the rows of a ranking store add up to, kept in memory and brought up to date row by row."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from rapl_core.errors import RankingError
@@ -88,6 +88,10 @@ class Ledger:
     def queries(self) -> int:
         """How many were ever handed out."""
         return len(self._queries)
+
+    def queries_handed_out(self) -> Iterable[Query]:
+        """All that were ever handed out, in the order stored."""
+        return self._queries.values()
 
     def knows_query(self, query_id: str) -> bool:
         """Whether it was handed out here; an imported ranking's was not."""

@@ -9,13 +9,14 @@ from typing import Literal
 from rapl_core.episodes import EpisodeStore
 from rapl_core.episodes.writing import TEMPORARY_PREFIX
 from rapl_core.errors import RankingError
-from rapl_core.preferences.exchange import export_jsonl, read_jsonl
+from rapl_core.preferences.exchange import export_jsonl, export_queries, read_jsonl
 from rapl_core.preferences.parquet import export_parquet, read_parquet
 from rapl_core.preferences.store import RankingStore
 from rapl_core.types import Ranking
 
 Format = Literal["jsonl", "parquet"]
 RANKINGS_FILE = "rankings.sqlite"
+QUERIES_FILE = "queries.jsonl"
 EPISODES_FOLDER = "episodes"
 
 
@@ -30,8 +31,8 @@ class Handed:
 
 
 def export_package(run: Path, out: Path, format_: Format = "jsonl", bags: bool = False) -> Handed:
-    """Write ``out/rankings.<format>`` and, if asked, the bags of all ranked videos to
-    ``out/episodes``.
+    """Write ``out/rankings.<format>``, ``out/queries.jsonl`` and, if asked, the bags of all ranked
+    videos to ``out/episodes``.
 
     :param run: run folder.
     :raises RankingError: if the run has no rankings, or ``out`` cannot be written.
@@ -45,6 +46,7 @@ def export_package(run: Path, out: Path, format_: Format = "jsonl", bags: bool =
         raise RankingError(f"cannot write rankings to {out}: {error}") from error
     with RankingStore(run / RANKINGS_FILE) as store:
         count = (export_jsonl if format_ == "jsonl" else export_parquet)(store, path)
+        export_queries(store, out / QUERIES_FILE)
         shown = {video for ranking in store.all() for video in ranking.episode_ids}
     copied = _copy_bags(shown, run / EPISODES_FOLDER, out / EPISODES_FOLDER) if bags else 0
     return Handed(count, copied, path)

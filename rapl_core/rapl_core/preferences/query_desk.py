@@ -1,6 +1,7 @@
 """Who is asked what: new videos, the same ones again, or those that somebody else has ranked."""
 
 import time
+from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import cast, get_args
@@ -96,8 +97,9 @@ class QueryDesk:
     ) -> Choice | Query:
         now = time.time_ns()
         if request.resume:
+            there = set(pool)
             for query in ledger.open_queries(now, request.annotator):
-                if query.query_id not in request.held:
+                if query.query_id not in request.held and there.issuperset(query.episode_ids):
                     return query
         # The number of queries before is part of the seed: a restart goes on, not back.
         rng = np.random.default_rng([self.config.seed, ledger.queries])
@@ -128,19 +130,19 @@ class QueryDesk:
         rng: np.random.Generator,
     ) -> tuple[str, ...] | None:
         """Videos that were ranked together before, and that this person does not have now."""
-        own = [frozenset(r.episode_ids) for r in ledger.effective(request.annotator)]
+        own = Counter(frozenset(r.episode_ids) for r in ledger.effective(request.annotator))
         busy = {
             frozenset(q.episode_ids) for q in ledger.open_queries(time.time_ns(), request.annotator)
         }
         if is_own:
             ranked = [r for r in ledger.effective(request.annotator) if r.ranks]
             late = ranked[: max(1, len(ranked) - REPEAT_AFTER)]
-            asked_once = [r for r in late if own.count(frozenset(r.episode_ids)) == 1]
+            asked_once = [r for r in late if own[frozenset(r.episode_ids)] == 1]
             sets = _sets(r.episode_ids for r in asked_once)
         else:
             others = (r for r in ledger.effective() if r.annotator != request.annotator and r.ranks)
             sets = _sets(r.episode_ids for r in others)
-            sets = {key: videos for key, videos in sets.items() if key not in set(own)}
+            sets = {key: videos for key, videos in sets.items() if key not in own}
         free = [videos for key, videos in sets.items() if key not in busy and key <= pool]
         if request.size:
             free = [videos for videos in free if len(videos) == request.size]

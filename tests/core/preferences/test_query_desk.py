@@ -68,6 +68,14 @@ def test_after_a_reload_the_open_queries_come_back_with_a_new_lease(store: Ranki
     assert bobs.query_id not in {*held, third.query_id}, "nobody gets another's"
 
 
+def test_a_query_about_a_video_that_is_gone_does_not_come_back(store: RankingStore) -> None:
+    one = desk(store)
+    shown = one.next(QueryRequest("ada"), POOL)
+    left = [video for video in POOL if video != shown.episode_ids[0]]
+    back = one.next(QueryRequest("ada", resume=True), left)
+    assert back.query_id != shown.query_id and set(back.episode_ids) <= set(left)
+
+
 def test_a_repeat_is_what_the_same_person_has_answered_and_is_asked_once(
     store: RankingStore,
 ) -> None:

@@ -1,5 +1,6 @@
 """The ranking store: nothing is lost, nothing is stored twice, bad input is refused by name."""
 
+import json
 import signal
 import sqlite3
 import subprocess
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 from rapl_core.errors import CorruptFileError, RankingError, UnknownNameError
-from rapl_core.preferences import RankingStore, export_jsonl, import_jsonl, read_jsonl
+from rapl_core.preferences import RankingStore, export_jsonl, export_queries, read_jsonl
 from rapl_core.types import Ranking
 
 WRITER = """
@@ -419,10 +420,24 @@ def test_an_export_brings_everything_into_another_store(tmp_path: Path) -> None:
         one.add(ranking("r3", ranks=(), verdict="skipped"))
         lines = tmp_path / "rankings.jsonl"
         assert export_jsonl(one, lines) == 3
-        assert import_jsonl(lines, two) == 3
-        assert import_jsonl(lines, two) == 0
+        for _ in range(2):
+            for row in read_jsonl(lines):
+                two.add_imported(row)
+        assert two.count() == 3
         export_jsonl(two, tmp_path / "again.jsonl")
+        assert export_queries(one, tmp_path / "queries.jsonl") == 1
     assert (tmp_path / "again.jsonl").read_text() == lines.read_text()
+    (asked,) = (tmp_path / "queries.jsonl").read_text().splitlines()
+    assert json.loads(asked)["query_id"] == query.query_id
+    assert json.loads(asked)["episode_ids"] == ["a", "b", "c"]
+
+
+def test_a_name_with_a_line_separator_in_it_is_read_back(tmp_path: Path) -> None:
+    given = ranking(response_s=1.0, annotator="anna\u2028\x85b")
+    with RankingStore(tmp_path / "r.sqlite") as store:
+        store.add(given)
+        export_jsonl(store, tmp_path / "r.jsonl")
+    assert read_jsonl(tmp_path / "r.jsonl") == [given]
 
 
 @pytest.mark.parametrize(
