@@ -2,7 +2,7 @@
 
 import time
 import traceback
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -11,10 +11,19 @@ from rapl_msgs.msg import EpisodeInfo
 from rapl_msgs.srv import GetProgress, GetQuery, ListRankings, SubmitRanking, Undo
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from std_msgs.msg import String
 
 from rapl_core.episodes import EpisodeStore
-from rapl_core.errors import RaplError, UnknownNameError
-from rapl_core.preferences import DeskConfig, QueryDesk, QuerySelector, RankingStore
+from rapl_core.errors import RankingError, RaplError, UnknownNameError
+from rapl_core.preferences import (
+    DeskConfig,
+    Query,
+    QueryDesk,
+    QueryRequest,
+    QuerySelector,
+    RankingStore,
+)
+from rapl_core.preferences.agreement import AgreementTable, agreement_table
 from rapl_core.preferences.people import PeopleConfig
 from rapl_core.preferences.progress import RankingProgress, measure_progress, needed
 from rapl_core.preferences.strategies import STRATEGIES
@@ -27,6 +36,8 @@ from rapl_ros.progress import count_words
 from rapl_ros.strategist import Strategist
 
 LIST_LIMIT = 100
+AGREEMENT_KEPT_S = 2.0
+"""For so long agreement may be that of before the newest answers."""
 WRITABLE = (
     "rankings_wanted", "strategy", "repeat_share", "shared_share",
     "noise", "smoothing_rate", "groups",
@@ -79,7 +90,8 @@ class PreferenceConfig(DeskConfig, PeopleConfig):
 class PreferenceNode(RaplNode):
     """Hands out queries, stores rankings, trains encoders.
 
-    Subscribes ``episode`` (rapl_msgs/EpisodeInfo). Serves ``~/get_query`` (rapl_msgs/GetQuery),
+    Subscribes ``episode`` (rapl_msgs/EpisodeInfo) and ``unreadable_episode`` (std_msgs/String, an
+    id). Serves ``~/get_query`` (rapl_msgs/GetQuery),
     ``~/submit_ranking`` (rapl_msgs/SubmitRanking), ``~/undo`` (rapl_msgs/Undo),
     ``~/list_rankings`` (rapl_msgs/ListRankings), ``~/get_progress`` (rapl_msgs/GetProgress) and
     ``~/align`` (rapl_msgs/Align), one goal at a time.
@@ -109,10 +121,14 @@ class PreferenceNode(RaplNode):
             self.config.backbone,
             Path(self.config.weights) if self.config.weights else None,
         )
-        self._measured: tuple[int, RankingProgress] | None = None
+        self._agreement: tuple[int, float, AgreementTable] | None = None
+        self._unreadable: set[str] = set()
+        self._telling = self.steady_timer(0.0, self._after_answering)
+        self._telling.cancel()
         self._worker: Worker | None = None
         self._aligning = False
         self.subscribe_to(EpisodeInfo, topics.EPISODE, self._on_episode, qos.event())
+        self.subscribe_to(String, topics.UNREADABLE_EPISODE, self._on_unreadable, qos.event())
         self.create_service(GetQuery, topics.GET_QUERY, self._on_get_query)
         self.create_service(SubmitRanking, topics.SUBMIT_RANKING, self._on_submit)
         self.create_service(Undo, topics.UNDO, self._on_undo)
@@ -147,6 +163,28 @@ class PreferenceNode(RaplNode):
             self._pool.add(msg.episode_id)
             self._tell()
 
+    def _on_unreadable(self, msg: String) -> None:
+        """Somebody could not show a video: look, and ask about it no more if that is so."""
+        if msg.data not in self._pool:
+            return
+        try:
+            self._episodes.frames(msg.data)
+        except (RaplError, OSError) as error:
+            self._take_out({msg.data}, str(error))
+
+    def _take_out(self, episode_ids: set[str], reason: str) -> None:
+        self._pool -= episode_ids
+        self._unreadable |= episode_ids
+        names = ", ".join(sorted(self._unreadable))
+        self.diagnostics.warn("unreadable videos", f"asked about no more: {names} ({reason})")
+
+    def _forget_missing(self) -> bool:
+        """Take videos whose files are gone out of the pool; return whether there were any."""
+        gone = {video for video in self._pool if video not in self._episodes}
+        if gone:
+            self._take_out(gone, "their files are gone")
+        return bool(gone)
+
     def _on_get_query(
         self, request: GetQuery.Request, response: GetQuery.Response
     ) -> GetQuery.Response:
@@ -155,13 +193,21 @@ class PreferenceNode(RaplNode):
             if strategy not in STRATEGIES:
                 raise UnknownNameError("query strategy", strategy, STRATEGIES)
             wish = conversions.query_request_from_ros(request)
-            selector = self._selector(strategy, wish.size)
-            query = QueryDesk(self._store, self.config).next(wish, self._pool, selector)
+            query = self._next_query(wish, strategy)
         except RaplError as error:
             response.message = str(error)
             return response
         response.success, response.query = True, conversions.query_to_ros(query)
         return response
+
+    def _next_query(self, wish: QueryRequest, strategy: str) -> Query:
+        desk, selector = QueryDesk(self._store, self.config), self._selector(strategy, wish.size)
+        try:
+            return desk.next(wish, self._pool, selector)
+        except RankingError:
+            if not self._forget_missing():
+                raise
+        return desk.next(wish, self._pool, selector)
 
     def _on_submit(
         self, request: SubmitRanking.Request, response: SubmitRanking.Response
@@ -176,7 +222,7 @@ class PreferenceNode(RaplNode):
             response.message = str(error)
             return response
         response.success = True
-        self._tell()
+        self._telling.reset()
         return response
 
     def _on_undo(self, request: Undo.Request, response: Undo.Response) -> Undo.Response:
@@ -192,7 +238,7 @@ class PreferenceNode(RaplNode):
         response.success, response.ranking = True, conversions.ranking_to_ros(undone.ranking)
         if undone.query is not None:
             response.query = conversions.query_to_ros(undone.query)
-        self._tell()
+        self._telling.reset()
         return response
 
     def _on_list(
@@ -236,21 +282,25 @@ class PreferenceNode(RaplNode):
         return self._strategist.selector(strategy, size or self.config.query_size, wanted)
 
     def _progress(self) -> RankingProgress:
-        """Agreement is over all pairs of all rankings: measured anew only after an answer."""
+        """Agreement is over all pairs of all rankings: measured anew only after an answer, and not
+        for each of many."""
         with self._store.reading() as ledger:
-            rows, now = len(ledger.rankings), time.time_ns()
-            if self._measured is None or self._measured[0] != rows:
-                self._measured = rows, measure_progress(ledger, 0, now)
-            return replace(
-                self._measured[1],
-                wanted=self.config.rankings_wanted,
-                open_queries=len(ledger.open_queries(now)),
-            )
+            rows, now_s = len(ledger.rankings), time.monotonic()
+            held = self._agreement
+            if held is None or (held[0] != rows and now_s - held[1] > AGREEMENT_KEPT_S):
+                self._agreement = held = rows, now_s, agreement_table(ledger.effective())
+            wanted = self.config.rankings_wanted
+            return measure_progress(ledger, wanted, time.time_ns(), held[2])
 
     def _given_and_needed(self) -> tuple[int, int]:
         with self._store.reading() as ledger:
             given = ledger.given()
         return given, needed(self.config.rankings_wanted, given)
+
+    def _after_answering(self) -> None:
+        """Once the answer is sent: nobody waits for this."""
+        self._telling.cancel()
+        self._tell()
 
     def _tell(self) -> None:
         self._strategist.notice()

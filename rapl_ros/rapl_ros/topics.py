@@ -32,6 +32,7 @@ REWARD: Final = "reward"
 METRICS: Final = "metrics"
 POLICY_INFO: Final = "policy_info"
 EPISODE: Final = "episode"
+UNREADABLE_EPISODE: Final = "unreadable_episode"
 PROGRESS: Final = "progress"
 DIAGNOSTICS: Final = "/diagnostics"
 

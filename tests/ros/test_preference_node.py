@@ -1,5 +1,6 @@
 """The nodes preference and simulated_human: queries, rankings that stay, an encoder from them."""
 
+import shutil
 import time
 import uuid
 from collections.abc import Iterator
@@ -16,12 +17,14 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
+from std_msgs.msg import String
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.preferences import RankingStore, triplets_from
 from rapl_core.representations import load_encoder
 from rapl_core.types import Episode
 from rapl_ros import qos, topics
+from rapl_ros.preference_node import PreferenceNode
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
@@ -196,9 +199,41 @@ def test_progress_says_how_many_are_needed_and_how_each_annotator_gets_on(person
     assert progress.wanted == 1000 and progress.needed == 1000 - progress.given
     assert progress.videos == VIDEOS and progress.strategy == "uniform"
     rows = {row.annotator: row for row in progress.annotators}
+    assert (rows["ada"].ranked, rows["bob"].ranked) == (2, 1), "counts are of now"
+
+    def agreement() -> dict[str, wire_msg.AnnotatorProgress] | None:
+        rows = {row.annotator: row for row in person.progress().annotators}
+        return rows if rows["bob"].agreement_pairs >= 6 else None
+
+    rows = person.probe.until(agreement, 20.0, "agreement is measured, after some seconds")
     assert rows["ada"].consistency == pytest.approx(2 / 3) and rows["ada"].consistency_pairs == 3
     assert rows["bob"].agreement_pairs >= 6 and 0 <= rows["bob"].agreement < 0.5
     assert len(person.progress(annotator="bob").annotators) == 1
+
+
+def test_a_video_that_cannot_be_read_is_asked_about_no_more_and_told(
+    tmp_path: Path, rclpy_context: None
+) -> None:
+    make_videos(tmp_path)
+    episodes = tmp_path / "episodes"
+    (bag,) = (episodes / "video-03").glob("*.mcap")
+    bag.write_bytes(b"damaged")
+    shutil.rmtree(episodes / "video-04")
+    node = PreferenceNode(cli_args=["--ros-args", "-p", f"run_folder:={tmp_path}"])
+    try:
+        for video in ("video-03", "video-05", "elsewhere"):
+            node._on_unreadable(String(data=video))
+        shutil.rmtree(episodes / "video-06")
+        for _ in range(40):
+            request = GetQuery.Request(annotator="ada")
+            shown = node._on_get_query(request, GetQuery.Response())
+            assert shown.success, shown.message
+            assert not {"video-03", "video-04", "video-06"} & set(shown.query.episode_ids)
+        text = node.diagnostics.conditions["unreadable videos"]
+        assert "video-03" in text and "video-06" in text and "video-05" not in text
+    finally:
+        node.close()
+        node.destroy_node()
 
 
 def test_an_unknown_strategy_names_the_known(person: Person) -> None:

@@ -34,7 +34,7 @@ class AgreementTable:
     annotators: tuple[str, ...]
     share: NDArray[np.float64]
     """(A, A) of pairs that both ranked, those ordered alike; NaN without any; the diagonal is
-    consistency."""
+    consistency, of the same videos asked again."""
     pairs: NDArray[np.int64]
     """(A, A) comparisons behind it."""
 
@@ -76,7 +76,8 @@ def agreement_table(rankings: Iterable[Ranking]) -> AgreementTable:
     """Return how far each annotator agrees with each, and with their own repeated answers.
 
     Two answers about a pair agree to 1 if they order it alike or both tie, to 1/2 if one of them
-    ties, to 0 if they contradict. Pairs count wherever both were ranked, in the same query or not.
+    ties, to 0 if they contradict. Between people pairs count wherever both were ranked, in the same
+    query or not; consistency is of the same videos asked again.
 
     :param rankings: those that count (:meth:`RankingStore.effective`).
     """
@@ -86,18 +87,32 @@ def agreement_table(rankings: Iterable[Ranking]) -> AgreementTable:
     alike = np.zeros((len(names), len(names)))
     pairs = np.zeros((len(names), len(names)), dtype=np.int64)
     for people in pair_signs(rankings).values():
-        if len(people) == 1 and len(next(iter(people.values()))) == 1:
-            continue
-        answers = [(number[name], sign) for name, signs in people.items() for sign in signs]
-        for (i, sign), (j, other) in combinations(answers, 2):
-            likeness = 1.0 - abs(sign - other) / 2
-            alike[i, j] += likeness
-            pairs[i, j] += 1
-            if i != j:
-                alike[j, i] += likeness
-                pairs[j, i] += 1
+        for (name, signs), (other, others) in combinations(people.items(), 2):
+            i, j = number[name], number[other]
+            likeness = sum(_likeness(sign, second) for sign in signs for second in others)
+            for place in ((i, j), (j, i)):
+                alike[place] += likeness
+                pairs[place] += len(signs) * len(others)
+    for name, repeated in _repeats(rankings):
+        i = number[name]
+        for signs in pair_signs(repeated).values():
+            for first, second in combinations(signs[name], 2):
+                alike[i, i] += _likeness(first, second)
+                pairs[i, i] += 1
     with np.errstate(invalid="ignore"):
         return AgreementTable(names, alike / pairs, pairs)
+
+
+def _repeats(rankings: Iterable[Ranking]) -> list[tuple[str, list[Ranking]]]:
+    """Annotators' answers about the same videos, where there are several."""
+    found: defaultdict[tuple[str, frozenset[str]], list[Ranking]] = defaultdict(list)
+    for ranking in rankings:
+        found[ranking.annotator, frozenset(ranking.episode_ids)].append(ranking)
+    return [(name, answers) for (name, _), answers in found.items() if len(answers) > 1]
+
+
+def _likeness(sign: int, other: int) -> float:
+    return 1.0 - abs(sign - other) / 2
 
 
 def _mean(share: NDArray[np.float64], pairs: NDArray[np.int64]) -> Share:

@@ -21,7 +21,7 @@ class Query:
     created_ns: int
     """Wall clock."""
     expires_ns: int
-    """Wall clock; after it others may be asked the same, and an answer is taken unless they were."""
+    """Wall clock; after it others may be asked the same; a late answer counts unless they were."""
     purpose: QueryPurpose = "new"
     """``repeat``: the same person once more, for consistency; ``shared``: what another person has
     answered, for agreement."""

@@ -68,4 +68,4 @@ def test_progress_counts_what_counts(tmp_path: Path) -> None:
     ada, bob = progress.annotators
     assert ada.counts == {"ranked": 2} and ada.median_response_s == 5.5 and ada.newest_ns == 30
     assert bob.counts == {"undecided": 1, "withdrawn": 1} and math.isnan(bob.consistency.value)
-    assert ada.consistency.pairs == 1, "a and b, in two queries"
+    assert ada.consistency.pairs == 0, "a and b came twice, but nothing was asked again"
