@@ -90,7 +90,7 @@ NODES: tuple[NodeEntry, ...] = (
     NodeEntry(
         "web",
         "rapl_ros.web_node",
-        ("run_folder", "host"),
+        ("run_folder", "host", "question"),
         is_needed=lambda config: config.asks_people,
     ),
     NodeEntry("conductor", "rapl_ros.conductor_node", ("run_folder",), ends=True),
@@ -119,6 +119,7 @@ def run_parameters(
         "human_reward_scale": get_task(config.task).human_reward_scale,
         "run_folder": str(folder.resolve()),
         "host": web_host or "127.0.0.1",
+        "question": get_task(config.task).title,
         "clock_file": str((folder / "clock_ns").resolve()),
         "rankings_wanted": config.triplets,
         # People tire and differ: now and then the same again, and what another person has ranked.

@@ -126,15 +126,18 @@ def _watch(
 
 
 def _tell_page(request: RunRequest, told: str, console: Console) -> str:
-    """Say where the page is, once it is there; return what was said."""
-    if told or not request.web_host:
+    """Say where the page is, once it is there and when it has moved; return what was said."""
+    if not request.web_host:
         return told
     try:
-        address = (request.folder / WEB_ADDRESS_FILE).read_text().strip()
+        addresses = (request.folder / WEB_ADDRESS_FILE).read_text().split()
     except FileNotFoundError:
-        return ""
-    console.say(f"The page is at {address}")
-    return address
+        return told
+    said = f"The page is at {' or '.join(addresses)}"
+    if said != told and addresses:
+        console.say(said)
+        return said
+    return told
 
 
 def _greeting(request: RunRequest, environment: dict[str, str]) -> str:

@@ -18,11 +18,12 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from sensor_msgs.msg import Image
+from std_msgs.msg import String
 
 from rapl_core.errors import RaplError
 from rapl_core.preferences import Query
 from rapl_core.types import Ranking
-from rapl_ros import conversions, topics
+from rapl_ros import conversions, qos, topics
 from rapl_ros.calls import CallError, call, pause
 from rapl_ros.conversions.people import (
     progress_from_ros,
@@ -41,6 +42,8 @@ ASK_S = 15.0
 SWAP_S = 180.0
 """For an encoder to load and to embed its experts; torch alone takes seconds to import."""
 POLL_S = 0.2
+GONE_S = 6.0
+"""A node that was not seen for so long brings no result any more."""
 PICTURE_WANTED_S = 5.0
 """After nobody has asked for so long, the camera is unsubscribed."""
 JPEG_QUALITY = 88
@@ -71,6 +74,7 @@ class WebGraph:
         )
         self._align = ActionClient(node, Align, topics.of_node(topics.ALIGN, topics.PREFERENCE))
         self._set_encoder = node.create_client(SetParameters, f"{topics.ENCODER}/set_parameters")
+        self._unreadable = node.publish_to(String, topics.UNREADABLE_EPISODE, qos.event())
         self._wanted = 0
         self._image: Image | None = None
         self._asked_s = float("-inf")
@@ -94,9 +98,11 @@ class WebGraph:
             raise conflict("refused", _sentence(response.message))
         return self._with_wanted(standing_from_ros(response))
 
-    async def undo(self, annotator: str, withdrawal_id: str) -> TakenBack:
+    async def undo(self, annotator: str, withdrawal_id: str, ranking_id: str) -> TakenBack:
         """Take back a ranking; see the port."""
-        request = Undo.Request(annotator=annotator, withdrawal_id=withdrawal_id)
+        request = Undo.Request(
+            annotator=annotator, withdrawal_id=withdrawal_id, ranking_id=ranking_id
+        )
         response = await self._call(self._undo, request)
         if not response.success:
             raise conflict("nothing_to_undo", _sentence(response.message))
@@ -111,6 +117,10 @@ class WebGraph:
         progress = progress_from_ros(response)
         self._wanted = progress.standing.wanted
         return progress
+
+    def report_unreadable(self, episode_id: str, reason: str) -> None:
+        """Tell that a video cannot be shown; see the port."""
+        self._spawn(self._report, episode_id, reason)
 
     # SystemPort
 
@@ -131,9 +141,14 @@ class WebGraph:
         """Begin to put an encoder to work; see the port."""
         if self._board.swap.state == "running":
             raise conflict("busy", "An encoder is being loaded already.")
-        if not await self._ask(self._encoder_is_there):
-            raise unavailable("no_encoder", "The encoder node is not running.")
+        before = self._board.swap
         self._board.swap = JobView(state="running", message=f"{encoder} is being loaded")
+        try:
+            if not await self._ask(self._encoder_is_there):
+                raise unavailable("no_encoder", "The encoder node is not running.")
+        except RaplError:
+            self._board.swap = before
+            raise
         self._spawn(self._set, encoder)
         return f"{encoder} is asked for"
 
@@ -192,6 +207,10 @@ class WebGraph:
 
     # On the executor
 
+    async def _report(self, episode_id: str, reason: str) -> None:
+        self._unreadable.publish(String(data=episode_id))
+        self._node.diagnostics.warn(f"video {episode_id}", f"cannot be shown: {reason}")
+
     async def _send_goal(self) -> Any:
         goal = Align.Goal(encoder=self._method, preset=self._preset)
         began_s = time.monotonic()
@@ -219,12 +238,14 @@ class WebGraph:
 
     async def _follow(self, handle: Any) -> None:
         peer = self._node.peers[topics.PREFERENCE]
-        incarnation = peer.incarnation
+        incarnation, seen_s = peer.incarnation, time.monotonic()
         answer = handle.get_result_async()
         while not answer.done():
             await pause(self._node, POLL_S)
-            if peer.incarnation != incarnation:
-                self._board.align = JobView(state="failed", message=f"{peer.name} has restarted")
+            seen_s = time.monotonic() if peer.alive else seen_s
+            if peer.incarnation != incarnation or time.monotonic() - seen_s > GONE_S:
+                became = "has restarted" if peer.alive else "is gone"
+                self._board.align = JobView(state="failed", message=f"{peer.name} {became}.")
                 return
             if peer.detail.startswith("reads") and self._board.align.share is None:
                 self._board.align = JobView(state="running", message=peer.detail)

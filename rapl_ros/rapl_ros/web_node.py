@@ -20,10 +20,17 @@ from rapl_ros.run_config import WEB_ADDRESS_FILE, RunConfig, load_config
 from rapl_ros.web.app import WebApp
 from rapl_ros.web.guard import HostRule
 from rapl_ros.web.live import EncoderView, LiveBoard, RewardView
-from rapl_ros.web.server import ServerThread, address_of, listen, token_of
+from rapl_ros.web.server import (
+    ServerThread,
+    address_of,
+    addresses_for_others,
+    listen,
+    token_of,
+)
 from rapl_ros.web.sprites import SheetCache
 from rapl_ros.web_graph import WebGraph
 
+QUESTION: Final = "Which do you like best?"
 NODES: Final = (
     topics.SIMULATOR,
     topics.ENCODER,
@@ -48,7 +55,10 @@ class WebConfig:
     port: int = field(default=8765, metadata={"minimum": 0, "maximum": 65535})
     """Port, or the next free one of twenty; 0: any."""
     allowed_hosts: tuple[str, ...] = ()
-    """Further names under which browsers may ask, e.g. that of a proxy."""
+    """Further names under which browsers may ask, e.g. that of a proxy. With any, every request
+    needs a token."""
+    question: str = ""
+    """What people are asked, above the videos; empty: which one they like best."""
 
 
 class WebNode(RaplNode):
@@ -111,14 +121,22 @@ class WebNode(RaplNode):
         self._start.cancel()
         config = self.config
         hosts = HostRule(config.host, config.allowed_hosts)
-        token = "" if hosts.is_local else token_of(config.run_folder)
+        # Behind a proxy the whole world may come from this machine.
+        is_private = hosts.is_local and not any(config.allowed_hosts)
+        token = "" if is_private else token_of(config.run_folder)
         listener = listen(config.host, config.port)
-        web = WebApp(self._graph, self._graph, self._sheets, self._board, self._on_refusal)
+        question = config.question or QUESTION
+        web = WebApp(
+            self._graph, self._graph, self._sheets, self._board, question, self._on_refusal
+        )
         self._server = ServerThread(web.guarded(hosts, token), listener)
         bare = address_of(listener)
-        self.address = f"{bare}#token={token}" if token else bare
-        write_atomically(config.run_folder / WEB_ADDRESS_FILE, f"{self.address}\n", mode=0o600)
-        self.get_logger().info(f"people rank at {self.address}")
+        fragment = f"#token={token}" if token else ""
+        addresses = [address + fragment for address in (bare, *addresses_for_others(listener))]
+        self.address = addresses[0]
+        text = "".join(f"{address}\n" for address in addresses)
+        write_atomically(config.run_folder / WEB_ADDRESS_FILE, text, mode=0o600)
+        self.get_logger().info(f"people rank at {' or '.join(addresses)}")
         self.heartbeat.report("active", bare)
 
     def _refresh(self) -> None:

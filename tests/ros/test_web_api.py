@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import shutil
 import socket
 import time
 import uuid
@@ -20,6 +21,7 @@ from schemathesis import GenerationMode
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 from web_system import WebSystem, make_videos, web_system
 
+from rapl_core.types import Ranking
 from rapl_ros.web.guard import BODY_LIMIT
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -95,6 +97,64 @@ def test_a_reload_gives_back_what_was_begun_and_a_page_that_fetches_ahead_gets_a
     ahead = ask(client, "reload", held=[first["query_id"]])
     assert ahead["query_id"] != first["query_id"]
     assert ask(client, "reload") == first | {"expires_in_s": pytest.approx(600, abs=60)}
+
+
+def test_two_pages_of_one_name_get_different_queries_and_undo_their_own_answers(
+    client: httpx.Client, system: WebSystem
+) -> None:
+    one, other = ask(client, "twin", page="one"), ask(client, "twin", page="other")
+    assert one["query_id"] != other["query_id"]
+    assert ask(client, "twin", page="one")["query_id"] == one["query_id"], "after a reload"
+    first, second = answer_to(one, "twin"), answer_to(other, "twin")
+    for body in (first, second):
+        assert client.post("api/rankings", json=body).is_success
+    ask(client, "twin", page="other")
+    undo = {"annotator": "twin", "page": "one", "withdrawal_id": uuid.uuid4().hex}
+    undone = client.post("api/undo", json=undo | {"ranking_id": first["ranking_id"]})
+    assert undone.json()["query"]["query_id"] == one["query_id"]
+    fresh = undo | {"page": "third", "withdrawal_id": uuid.uuid4().hex}
+    refused(client.post("api/undo", json=fresh), 409, "nothing_to_undo")
+    with system.store() as store:
+        assert [row.ranking_id for row in store.effective("twin")] == [second["ranking_id"]]
+
+
+def test_an_undo_touches_nothing_that_was_not_asked_here(
+    client: httpx.Client, system: WebSystem
+) -> None:
+    videos = ("secret-000", "secret-001", "secret-002")
+    with system.store() as store:
+        for number in range(2):
+            made = Ranking(
+                uuid.uuid4().hex, "bystander", videos, (1, 2, 3), query_id=f"far{number}"
+            )
+            store.add_imported(made)
+        for _ in range(2):
+            body = {"annotator": "bystander", "withdrawal_id": uuid.uuid4().hex}
+            refused(client.post("api/undo", json=body), 409, "nothing_to_undo")
+        assert len(store.effective("bystander")) == 2
+
+
+def test_a_correction_names_the_answer_that_it_replaces(
+    client: httpx.Client, system: WebSystem
+) -> None:
+    query = ask(client, "second thoughts")
+    first = answer_to(query, "second thoughts")
+    assert client.post("api/rankings", json=first).is_success
+    better = answer_to(query, "second thoughts", ranks=[1, 2, 3], replaces=first["ranking_id"])
+    assert client.post("api/rankings", json=better).is_success
+    with system.store() as store:
+        assert [row.ranks for row in store.effective("second thoughts")] == [(1, 2, 3)]
+        assert store.count("second thoughts") == 2
+
+
+def test_one_annotators_progress_is_only_the_own_row_however_it_is_capitalised(
+    client: httpx.Client,
+) -> None:
+    assert client.post("api/rankings", json=answer_to(ask(client, "Käthe"), "Käthe")).is_success
+    own = client.get("api/progress", params={"annotator": "kÄTHE"}).json()
+    assert [row["annotator"] for row in own["annotators"]] == ["Käthe"]
+    assert own["question"] == "Which do you like best?"
+    refused(client.get("api/progress", params={"annotator": "<b>"}), 422, "bad_request")
 
 
 def test_an_answer_sent_again_is_stored_once(client: httpx.Client, system: WebSystem) -> None:
@@ -333,6 +393,39 @@ def test_pages_forbid_foreign_scripts_and_frames(client: httpx.Client) -> None:
     for page in ("rank.html", "live.html"):
         text = client.get(f"static/{page}").text
         assert "<script>" not in text and "style=" not in text and " onclick" not in text
+
+
+def test_a_video_that_cannot_be_read_is_passed_over_and_stops_nobody(tmp_path: Path) -> None:
+    make_videos(tmp_path, 12, frames=3, size=16)
+    with web_system(tmp_path, question="Which?") as system, system.client() as client:
+        assert client.get("api/progress").json()["question"] == "Which?"
+        shown = ask(client, "ada")
+        with system.store() as store:
+            gone, damaged, _ = store.query(shown["query_id"]).episode_ids
+        shutil.rmtree(tmp_path / "episodes" / gone)
+        other = ask(client, "ada")
+        assert other["query_id"] != shown["query_id"], "a reload gets other videos"
+        with system.store() as store:
+            assert gone not in store.query(other["query_id"]).episode_ids
+            (bag,) = (tmp_path / "episodes" / damaged).glob("*.mcap")
+            bag.write_bytes(b"damaged")
+        refused(client.get(shown["videos"][1]["url"]), 503, "video_missing")
+        end = time.monotonic() + 20.0
+        while damaged not in system.preference.text() or gone not in system.preference.text():
+            assert time.monotonic() < end, system.preference.text()
+            time.sleep(0.1)
+        for number in range(20):
+            query = ask(client, f"ada{number}")
+            assert all(client.get(video["url"]).is_success for video in query["videos"])
+
+
+def test_behind_a_proxy_every_request_needs_the_token(tmp_path: Path) -> None:
+    make_videos(tmp_path, 4, frames=3, size=16)
+    with web_system(tmp_path, allowed_hosts="['rank.example.org']") as system:
+        proxied = {"Host": "rank.example.org", "Origin": "https://rank.example.org"}
+        answer = httpx.post(f"{system.address}api/align", json={}, headers=proxied)
+        refused(answer, TOKEN_REFUSED, "token_needed")
+        assert system.token and ask(system.client(**proxied), "ada")["videos"]
 
 
 def test_beyond_this_machine_every_request_needs_the_token(tmp_path: Path) -> None:

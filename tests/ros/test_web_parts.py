@@ -1,13 +1,20 @@
 """Parts of the page that need neither browser nor graph: sheets, hosts, ports, the live board."""
 
+import asyncio
+import contextlib
 import io
 import math
 import socket
 import subprocess
 import sys
+import time
 import zipfile
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,9 +25,10 @@ from web_system import make_frames, make_videos
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import UnknownNameError
 from rapl_ros.progress import StageProgress
+from rapl_ros.web import connections
 from rapl_ros.web.guard import HostRule
 from rapl_ros.web.live import LiveBoard, RewardView
-from rapl_ros.web.server import AddressError, address_of, listen, token_of
+from rapl_ros.web.server import AddressError, ServerThread, address_of, listen, token_of
 from rapl_ros.web.sprites import LONGEST_SIDE, SheetCache, SheetLayout, layout_of, make_sheet
 from rapl_ros.wire import LearnerMetrics
 
@@ -113,6 +121,75 @@ def test_a_port_that_is_taken_is_passed_over_and_a_foreign_address_is_named() ->
         listen("203.0.113.1", 0)
     with pytest.raises(AddressError, match="nowhere.invalid"):
         listen("nowhere.invalid", 0)
+
+
+async def tiny_app(scope: Any, receive: Any, send: Any) -> None:
+    await send(
+        {"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]}
+    )
+    await send({"type": "http.response.body", "body": b"ok"})
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    listener = listen("127.0.0.1", 0)
+    server = ServerThread(tiny_app, listener)
+    yield listener.getsockname()[1]
+    server.close()
+
+
+def is_answered(port: int) -> bool:
+    return httpx.get(f"http://127.0.0.1:{port}/", timeout=10).text == "ok"
+
+
+def test_idle_connections_shut_nobody_out_and_are_closed(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "HEAD_PATIENCE_S", 1.0)
+    with ExitStack() as stack:
+        idle = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(300)
+        ]
+        idle[0].sendall(b"GET / HTTP/1.1\r\nHost: ")  # half a head
+        assert is_answered(port)
+        for wire in (idle[0], idle[-1]):
+            wire.settimeout(10)
+            assert wire.recv(100) == b"", "closed, for no request came"
+
+
+def test_one_address_elsewhere_cannot_take_all_connections(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "is_here", lambda address: False)
+    monkeypatch.setattr(connections, "ADDRESS_CONNECTIONS", 5)
+    with ExitStack() as stack:
+        for _ in range(5):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+        with pytest.raises(httpx.HTTPError):
+            is_answered(port)
+    end = time.monotonic() + 10
+    while True:  # what is closed counts no more
+        with contextlib.suppress(httpx.HTTPError):
+            assert is_answered(port)
+            break
+        assert time.monotonic() < end
+
+
+def test_small_answers_are_sent_at_once() -> None:
+    async def delays() -> int:
+        made: asyncio.Queue[int] = asyncio.Queue()
+
+        def note(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            wire = writer.get_extra_info("socket")
+            made.put_nowait(wire.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        with listen("127.0.0.1", 0) as listener:
+            async with await asyncio.start_server(note, sock=listener):
+                await asyncio.open_connection(*listener.getsockname()[:2])
+                return await made.get()
+
+    assert asyncio.run(delays()) != 0
 
 
 def test_the_token_is_made_once_and_for_its_owner_alone(tmp_path: Path) -> None:

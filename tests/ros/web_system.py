@@ -72,7 +72,7 @@ class WebSystem:
         while time.monotonic() < end:
             assert self.web.process.poll() is None, self.web.text()
             if file.exists():
-                return file.read_text().strip()
+                return file.read_text().split()[0]
             time.sleep(0.05)
         raise AssertionError(f"no page within {START_S:g} s: {self.web.text()}")
 

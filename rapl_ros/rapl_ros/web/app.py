@@ -19,9 +19,10 @@ from rapl_ros.web.desk import QueryDesk
 from rapl_ros.web.guard import Guard, HostRule
 from rapl_ros.web.live import LiveBoard, LiveView
 from rapl_ros.web.ports import PreferencePort, SystemPort
-from rapl_ros.web.problems import Problem, RefusedError, bad_request, unavailable
+from rapl_ros.web.problems import Problem, RefusedError, bad_request
 from rapl_ros.web.schemas import (
     AlignRequest,
+    AnnotatorName,
     Done,
     EncoderRequest,
     Progress,
@@ -63,7 +64,7 @@ _POST = (408, 409, 413, 415, 422)
 class WebApp:
     """The routes and what they need.
 
-    :param token: that every request must bring; empty: none.
+    :param question: what people are asked.
     :param on_refusal: told code and message of each refusal; called on the server's thread.
     """
 
@@ -73,12 +74,13 @@ class WebApp:
         system: SystemPort,
         sheets: SheetCache,
         board: LiveBoard,
+        question: str,
         on_refusal: Callable[[str, str], None],
     ) -> None:
         self._preference, self._system = preference, system
         self._sheets, self._board = sheets, board
         self._desk = QueryDesk(preference, sheets)
-        self._on_refusal = on_refusal
+        self._question, self._on_refusal = question, on_refusal
         self._tasks: set[asyncio.Task[None]] = set()
         self.api = self._build()
 
@@ -125,10 +127,11 @@ class WebApp:
             self._warm(undone.query)
             return undone
 
-        @api.get("/api/progress", responses=_refusals())
-        async def progress() -> Progress:
-            """How far the rankings are, and who gave them."""
-            return await self._preference.progress()
+        @api.get("/api/progress", responses=_refusals(422))
+        async def progress(annotator: AnnotatorName | None = None) -> Progress:
+            """How far the rankings are, and who gave them; of one annotator, only the own row."""
+            found = await self._preference.progress()
+            return _of_one(found, annotator).model_copy(update={"question": self._question})
 
         @api.get(
             "/api/videos/{key}.webp",
@@ -144,8 +147,8 @@ class WebApp:
                 raise RefusedError(HTTPStatus.NOT_FOUND, "no_video", text) from None
             try:
                 sheet = await asyncio.to_thread(self._sheets.sheet, episode_id)
-            except RaplError as error:
-                raise unavailable("video_missing", f"a video cannot be read: {error}") from error
+            except (RaplError, OSError) as error:
+                raise self._desk.report_unreadable(episode_id, error) from error
             return Response(sheet, media_type="image/webp", headers={"Cache-Control": FOREVER})
 
     def _add_live_routes(self, api: FastAPI) -> None:
@@ -185,7 +188,7 @@ class WebApp:
             task.add_done_callback(self._tasks.discard)
 
     async def _make(self, episode_id: str) -> None:
-        with suppress(RaplError):  # told when the page asks for it
+        with suppress(RaplError, OSError):  # told when the page asks for it
             await asyncio.to_thread(self._sheets.sheet, episode_id)
 
     # Errors, all in one form
@@ -225,6 +228,16 @@ class WebApp:
 
     def _tell(self, request: Request, error: RefusedError) -> None:
         self._on_refusal(error.code, f"{request.method} {request.url.path!r}: {error}")
+
+
+def _of_one(progress: Progress, annotator: str | None) -> Progress:
+    """Leave out all rows but those of one name, however it is capitalised; the exact one first."""
+    if annotator is None:
+        return progress
+    name = annotator.casefold()
+    own = [row for row in progress.annotators if row.annotator.casefold() == name]
+    own.sort(key=lambda row: row.annotator != annotator)
+    return progress.model_copy(update={"annotators": own})
 
 
 def _page(name: str) -> Callable[[], Any]:

@@ -1,17 +1,19 @@
 """Hands queries to people and takes their answers: blinded, leased, sent once."""
 
+import asyncio
 import secrets
 import threading
 import time
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
+from weakref import WeakValueDictionary
 
-from rapl_core.errors import RaplError
+from rapl_core.errors import CorruptFileError, RaplError
 from rapl_core.preferences import Query
 from rapl_core.types import Ranking
 from rapl_ros.web.ports import PreferencePort
-from rapl_ros.web.problems import bad_request, conflict, unavailable
+from rapl_ros.web.problems import RefusedError, bad_request, conflict, unavailable
 from rapl_ros.web.schemas import (
     QueryRequest,
     RankingRequest,
@@ -24,7 +26,9 @@ from rapl_ros.web.schemas import (
 from rapl_ros.web.sprites import SheetCache
 
 REMEMBERED = 4096
-"""Queries, answers and videos; older ones are asked of the preference node anew."""
+"""Queries, answers and videos. An answer to an older query is refused, and the page asks anew."""
+PASSED_OVER = 5
+"""Queries about videos that cannot be read that are passed over before the person is told."""
 SOURCE = "web"
 
 Value = TypeVar("Value")
@@ -62,6 +66,15 @@ class _Loan:
 
 
 @dataclass(frozen=True)
+class _Given:
+    """On which page a query stands that waits for its answer."""
+
+    annotator: str
+    page: str
+    expires_ns: int
+
+
+@dataclass(frozen=True)
 class _Sent:
     """An answer and what was made of it; an answer that is repeated must be the same."""
 
@@ -73,7 +86,8 @@ class QueryDesk:
     """Between the page and the preference node.
 
     Videos are known to the page by random keys only, and stand in the order that the preference
-    node has drawn for the query: nothing tells the person which is which.
+    node has drawn for the query: nothing tells the person which is which. Two pages of one name,
+    tabs or people, are not given the same and do not take back each other's answers.
     """
 
     def __init__(self, port: PreferencePort, sheets: SheetCache) -> None:
@@ -82,11 +96,28 @@ class QueryDesk:
         self._sent: _Memory[_Sent] = _Memory(REMEMBERED)
         self._keys: _Memory[str] = _Memory(REMEMBERED)
         self._episodes: _Memory[str] = _Memory(REMEMBERED)
+        self._unreadable: set[str] = set()
+        self._given: OrderedDict[str, _Given] = OrderedDict()
+        self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     async def next(self, request: QueryRequest) -> ShownQuery:
-        """Return a query that the page does not hold: one begun earlier, else a new one."""
-        query = await self._port.get_query(request.annotator, request.held)
-        return self._show(query, request.annotator, query.episode_ids)
+        """Return a query that the page does not hold: one begun earlier, else a new one.
+
+        :raises RefusedError: ``video_missing`` if only such are asked whose videos cannot be read,
+            besides what the preference node says.
+        """
+        name = request.annotator
+        async with self._turns.setdefault(name, asyncio.Lock()):
+            held = [*request.held, *self._on_other_pages(name, request.page)]
+            for left in reversed(range(PASSED_OVER)):
+                query = await self._port.get_query(name, held)
+                try:
+                    return self._show(query, name, request.page, query.episode_ids)
+                except RefusedError:
+                    if not left:
+                        raise
+                    held.append(query.query_id)
+            raise AssertionError("PASSED_OVER is not 0")
 
     async def submit(self, request: RankingRequest) -> Standing:
         """Store an answer.
@@ -106,15 +137,21 @@ class QueryDesk:
         sent = self._sent.put(request.ranking_id, _Sent(_content(request), _ranking(request, loan)))
         if sent.content != _content(request):
             raise conflict("used_id", f"ranking_id {request.ranking_id} has another content")
-        return await self._port.submit(sent.ranking)
+        standing = await self._port.submit(sent.ranking)
+        self._given.pop(request.query_id, None)
+        return standing
 
     async def undo(self, request: UndoRequest) -> Undone:
-        """Take back the annotator's newest answer; its query may be answered anew."""
-        undone = await self._port.undo(request.annotator, request.withdrawal_id)
+        """Take back an answer; its query may be answered anew."""
+        name, wanted = request.annotator, request.ranking_id
+        if not wanted and self._on_other_pages(name, request.page):
+            text = f"nothing was answered here, and {name} is at work on another page too"
+            raise conflict("nothing_to_undo", text)
+        undone = await self._port.undo(name, request.withdrawal_id, wanted)
         ranking = undone.ranking
         if ranking.verdict == "withdrawn" or undone.query is None:
             raise conflict("nothing_to_undo", "there is no answer to a query to take back")
-        shown = self._show(undone.query, request.annotator, ranking.episode_ids)
+        shown = self._show(undone.query, name, request.page, ranking.episode_ids)
         return Undone(
             query=shown,
             verdict=ranking.verdict,
@@ -132,21 +169,46 @@ class QueryDesk:
             raise KeyError(key)
         return episode_id
 
-    def _show(self, query: Query, annotator: str, order: tuple[str, ...]) -> ShownQuery:
+    def report_unreadable(self, episode_id: str, error: Exception) -> RefusedError:
+        """Note that a video cannot be shown, tell the graph once, and return what to answer."""
+        if episode_id not in self._unreadable:
+            self._unreadable.add(episode_id)
+            self._port.report_unreadable(episode_id, str(error))
+        return unavailable("video_missing", f"a video cannot be read: {error}")
+
+    def _show(self, query: Query, annotator: str, page: str, order: tuple[str, ...]) -> ShownQuery:
+        videos = [self._video(episode_id) for episode_id in order]
         self._loans.put(query.query_id, _Loan(annotator, order))
+        self._given[query.query_id] = _Given(annotator, page, query.expires_ns)
+        while len(self._given) > REMEMBERED:
+            self._given.popitem(last=False)
         return ShownQuery(
             query_id=query.query_id,
-            videos=[self._video(episode_id) for episode_id in order],
+            videos=videos,
             expires_in_s=max(0.0, (query.expires_ns - time.time_ns()) / 1e9),
         )
+
+    def _on_other_pages(self, annotator: str, page: str) -> list[str]:
+        """Queries that wait for an answer on another page of the same name."""
+        now_ns = time.time_ns()
+        return [
+            query_id
+            for query_id, given in self._given.items()
+            if given.annotator == annotator
+            and given.expires_ns > now_ns
+            and page
+            and given.page not in ("", page)
+        ]
 
     def _video(self, episode_id: str) -> Video:
         key = self._keys.put(episode_id, secrets.token_hex(16))
         self._episodes.put(key, episode_id)
         try:
+            if episode_id in self._unreadable:
+                raise CorruptFileError(f"episode {episode_id} could not be read before")
             layout = self._sheets.layout(episode_id)
-        except RaplError as error:
-            raise unavailable("video_missing", f"a video cannot be read: {error}") from error
+        except (RaplError, OSError) as error:
+            raise self.report_unreadable(episode_id, error) from error
         return Video(
             url=f"/api/videos/{key}.webp",
             frames=layout.frames,
@@ -173,6 +235,7 @@ def _ranking(request: RankingRequest, loan: _Loan) -> Ranking:
             verdict=request.verdict,
             query_id=request.query_id,
             response_s=request.response_s,
+            replaces=request.replaces,
             created_ns=now_ns,
             shown_ns=now_ns - round(request.response_s * 1e9),
             source=SOURCE,

@@ -29,12 +29,16 @@ class PreferencePort(Protocol):
         """Store a ranking; returns when it is on disk."""
         ...
 
-    async def undo(self, annotator: str, withdrawal_id: str) -> TakenBack:
-        """Take back the annotator's newest ranking."""
+    async def undo(self, annotator: str, withdrawal_id: str, ranking_id: str) -> TakenBack:
+        """Take back a ranking; empty: the annotator's newest answer."""
         ...
 
     async def progress(self) -> Progress:
         """How far the rankings are, and who gave them."""
+        ...
+
+    def report_unreadable(self, episode_id: str, reason: str) -> None:
+        """Tell that a video cannot be shown; may be called from any thread."""
         ...
 
 

@@ -32,6 +32,8 @@ AnnotatorName = Annotated[
 ]
 Identifier = Annotated[str, Field(pattern=r"^[0-9a-zA-Z_-]{8,64}$")]
 EncoderName = Annotated[str, Field(pattern=r"^[0-9a-zA-Z_-]{1,64}$")]
+PageId = Annotated[str, Field(pattern=r"^[0-9a-zA-Z_-]{0,64}$")]
+"""Tells two tabs, or two people of one name, apart; empty: does not matter."""
 Seconds = Annotated[float, Field(ge=0, le=86400, allow_inf_nan=False)]
 
 
@@ -45,6 +47,7 @@ class QueryRequest(_Body):
     """Asks for what to rank next."""
 
     annotator: AnnotatorName
+    page: PageId = ""
     held: list[Identifier] = Field(default=[], max_length=8)
     """Queries that the page has already."""
 
@@ -62,12 +65,17 @@ class RankingRequest(_Body):
     )
     """Of the videos as shown, left to right; 1 = best, equal numbers tie; empty unless ranked."""
     response_s: Seconds
+    replaces: Annotated[str, Field(pattern=r"^([0-9a-zA-Z_-]{8,64})?$")] = ""
+    """The own answer to the same query that this one corrects."""
 
 
 class UndoRequest(_Body):
-    """Takes back the annotator's newest answer."""
+    """Takes back an answer."""
 
     annotator: AnnotatorName
+    page: PageId = ""
+    ranking_id: Annotated[str, Field(pattern=r"^([0-9a-zA-Z_-]{8,64})?$")] = ""
+    """Which; empty: the annotator's newest, unless another page of the same name is at work."""
     withdrawal_id: Identifier
     """Made by the page, so that sending twice takes back once."""
 
@@ -144,6 +152,8 @@ class Progress(BaseModel):
     """How far the rankings are, and who gave them."""
 
     standing: Standing
+    question: str = ""
+    """What people are asked."""
     videos: int
     agreement: float | None
     agreement_pairs: int

@@ -1,20 +1,25 @@
 """The HTTP server on a thread of its own."""
 
 import errno
+import resource
 import secrets
 import socket
 import threading
 from pathlib import Path
 
+import psutil
 import uvicorn
 from starlette.types import ASGIApp
 
 from rapl_core.atomic import write_atomically
 from rapl_core.errors import RaplError
+from rapl_ros.web.connections import CONNECTIONS, PatientProtocol
 
 TOKEN_FILE = "web_token"
 PORTS_TRIED = 20
 STOP_S = 2.0
+SPARE_FILES = 500
+"""Open files of everything but connections."""
 
 
 class AddressError(RaplError):
@@ -33,11 +38,13 @@ def listen(host: str, port: int) -> socket.socket:
     except socket.gaierror as error:
         raise AddressError(f"cannot listen on {host!r}: {error.strerror}") from error
     for candidate in tried:
-        listener = socket.socket(family, socket.SOCK_STREAM)
+        # The protocol by name: asyncio then sends small answers at once (TCP_NODELAY), which it
+        # does not where it cannot see that it is TCP, and a browser waits 40 ms for the body.
+        listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((host, candidate))
-            listener.listen(128)
+            listener.listen(1024)
         except OSError as error:
             listener.close()
             if error.errno != errno.EADDRINUSE:
@@ -56,6 +63,21 @@ def address_of(listener: socket.socket) -> str:
     if host in ("0.0.0.0", "::"):
         host = socket.gethostname()
     return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+def addresses_for_others(listener: socket.socket) -> list[str]:
+    """Return the addresses at which other machines find a server that listens on all interfaces:
+    names are often not known there."""
+    host, port = listener.getsockname()[:2]
+    if host not in ("0.0.0.0", "::"):
+        return []
+    found = [
+        address.address
+        for addresses in psutil.net_if_addrs().values()
+        for address in addresses
+        if address.family is socket.AF_INET and not address.address.startswith("127.")
+    ]
+    return [f"http://{address}:{port}/" for address in found]
 
 
 def token_of(run_folder: Path) -> str:
@@ -84,8 +106,10 @@ class ServerThread:
             lifespan="off",
             server_header=False,
             timeout_graceful_shutdown=1,
-            limit_concurrency=256,
+            http=PatientProtocol,
+            limit_concurrency=CONNECTIONS,
         )
+        _allow_files(CONNECTIONS + SPARE_FILES)
         self._server = uvicorn.Server(config)
         self._listener = listener
         self._thread = threading.Thread(target=self._serve, name="web server", daemon=True)
@@ -104,3 +128,11 @@ class ServerThread:
         self._server.should_exit = True
         self._thread.join(STOP_S)
         self._listener.close()
+
+
+def _allow_files(number: int) -> None:
+    """Raise the soft limit of open files, as far as it may be."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = number if hard == resource.RLIM_INFINITY else min(number, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
