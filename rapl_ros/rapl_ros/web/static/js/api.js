@@ -36,8 +36,17 @@ async function send(path, options) {
   throw new ApiError(response.status, problem.code ?? "unknown", problem.message ?? response.statusText);
 }
 
+// The body may be cut short after its head came.
+async function bodyOf(response, kind) {
+  try {
+    return await response[kind]();
+  } catch {
+    throw new ApiError(0, "cut_short", "The answer of the server was cut short.");
+  }
+}
+
 export async function get(path) {
-  return (await send(path, {})).json();
+  return bodyOf(await send(path, {}), "json");
 }
 
 export async function post(path, body) {
@@ -46,11 +55,11 @@ export async function post(path, body) {
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify(body),
   };
-  return (await send(path, options)).json();
+  return bodyOf(await send(path, options), "json");
 }
 
-export async function getBlob(path) {
-  return (await send(path, {})).blob();
+export async function getBlob(path, options = {}) {
+  return bodyOf(await send(path, options), "blob");
 }
 
 // 128 random bits; crypto.randomUUID exists on secure origins only, not on http://10.0.0.5.

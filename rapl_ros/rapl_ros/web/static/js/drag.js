@@ -1,12 +1,14 @@
 // Dragging a video to a place: with mouse, pen or finger. The places appear while one drags.
 
 const FAR = 8; // pixels: less is a click
+const LONG_PRESS_MS = 250; // of a finger: what moves sooner scrolls the page, unless it goes sideways
 
 export class Dragging {
-  // names: of the places; onDrop(video, place): 1 = best.
-  constructor(tray, onDrop) {
+  // onDrop(video, place): 1 = best; isBlocked(): whether nothing may be dragged now.
+  constructor(tray, onDrop, isBlocked) {
     this.tray = tray;
     this.onDrop = onDrop;
+    this.isBlocked = isBlocked;
     this.held = null;
     addEventListener("pointermove", (event) => this.move(event));
     addEventListener("pointerup", (event) => this.end(event));
@@ -29,9 +31,15 @@ export class Dragging {
   // Make a video's button a handle.
   attach(button, video) {
     button.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0 || !event.isPrimary) return;
-      this.held = { button, video, x: event.clientX, y: event.clientY, ghost: null };
+      if (event.button !== 0 || !event.isPrimary || this.isBlocked()) return;
+      const held = { button, video, x: event.clientX, y: event.clientY, ghost: null };
+      held.isTouch = event.pointerType === "touch";
+      if (held.isTouch) held.timer = setTimeout(() => this.held === held && this.begin(held), LONG_PRESS_MS);
+      this.held = held;
     });
+    // While a video is dragged the page does not scroll, and a long press opens no menu.
+    button.addEventListener("touchmove", (event) => this.held?.ghost && event.preventDefault(), { passive: false });
+    button.addEventListener("contextmenu", (event) => this.held?.isTouch && event.preventDefault());
     button.addEventListener("dragstart", (event) => event.preventDefault());
     button.addEventListener(
       "click",
@@ -48,15 +56,22 @@ export class Dragging {
     const held = this.held;
     if (!held || !event.isPrimary) return;
     if (!held.ghost) {
-      if (Math.hypot(event.clientX - held.x, event.clientY - held.y) < FAR) return;
+      const [x, y] = [event.clientX - held.x, event.clientY - held.y];
+      if (Math.hypot(x, y) < FAR) return;
+      if (held.isTouch && Math.abs(y) > Math.abs(x)) return this.stop(); // it scrolls
       this.begin(held);
     }
-    held.ghost.style.transform = `translate(${event.clientX - held.ghost.offsetWidth / 2}px, ${event.clientY - held.ghost.offsetHeight / 2}px)`;
+    this.lead(held, event.clientX, event.clientY);
     const under = this.placeAt(event);
     for (const place of this.tray.children) place.classList.toggle("over", place === under);
   }
 
+  lead({ ghost }, x, y) {
+    ghost.style.transform = `translate(${x - ghost.offsetWidth / 2}px, ${y - ghost.offsetHeight / 2}px)`;
+  }
+
   begin(held) {
+    clearTimeout(held.timer);
     const shown = held.button.querySelector("canvas");
     held.ghost = document.createElement("canvas");
     held.ghost.className = "ghost";
@@ -67,6 +82,7 @@ export class Dragging {
     document.body.classList.add("dragging");
     held.button.closest(".card").classList.add("dragged");
     this.tray.hidden = false;
+    this.lead(held, held.x, held.y);
   }
 
   end(event) {
@@ -83,6 +99,7 @@ export class Dragging {
   stop() {
     const held = this.held;
     this.held = null;
+    clearTimeout(held?.timer);
     if (!held?.ghost) return;
     held.ghost.remove();
     held.button.closest(".card")?.classList.remove("dragged");

@@ -12,7 +12,7 @@ export function setUpKeys(actions) {
     s: actions.skip,
     u: actions.undo,
     z: actions.undo,
-    Backspace: actions.undo,
+    Backspace: actions.back,
     r: actions.replay,
     " ": actions.togglePlaying,
     Enter: actions.save,

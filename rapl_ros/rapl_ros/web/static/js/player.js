@@ -1,12 +1,32 @@
 // Plays several videos exactly in step: one clock, each frame cut from its video's sheet.
 
-import { getBlob } from "./api.js";
+import { ApiError, getBlob } from "./api.js";
 
 const HOLD_S = 0.7; // on the last frame, so that one sees how it ended
 
-export async function loadSheet(video) {
-  const bitmap = await createImageBitmap(await getBlob(video.url));
-  return { ...video, bitmap };
+// The sheets of videos, decoded: their first frames can be drawn at once.
+export async function loadSheets(videos) {
+  const loaded = await Promise.allSettled(videos.map(loadSheet));
+  const failed = loaded.find(({ status }) => status === "rejected");
+  if (!failed) return loaded.map(({ value }) => value);
+  closeSheets(loaded.flatMap(({ value }) => value ?? []));
+  throw failed.reason;
+}
+
+export function closeSheets(sheets) {
+  for (const { bitmap } of sheets) bitmap.close();
+}
+
+async function loadSheet(video) {
+  for (const options of [{}, { cache: "reload" }]) {
+    const blob = await getBlob(video.url, options);
+    try {
+      return { ...video, bitmap: await createImageBitmap(blob) };
+    } catch {
+      // a broken picture, which the browser may have kept: once more, past what it has kept
+    }
+  }
+  throw new ApiError(0, "bad_picture", "A video came broken.");
 }
 
 export class Player {
@@ -30,10 +50,8 @@ export class Player {
     return Math.min(...this.videos.map(({ sheet }) => sheet.period_s));
   }
 
+  // From the start, playing or not as before.
   show(canvases, sheets) {
-    for (const { sheet } of this.videos) {
-      if (!sheets.includes(sheet)) sheet.bitmap.close();
-    }
     this.videos = sheets.map((sheet, index) => {
       const canvas = canvases[index];
       canvas.width = sheet.width;
@@ -41,12 +59,11 @@ export class Player {
       return { sheet, context: canvas.getContext("2d", { alpha: false }), frame: -1 };
     });
     this.time = 0;
-    this.playing = true;
     this.before = null;
     this.draw();
   }
 
-  // Lets go of the videos without closing them: they will be shown again.
+  // Lets go of the videos.
   release() {
     this.videos = [];
   }

@@ -1,477 +1,366 @@
 // The page on which people rank.
 
-import { ApiError, get, newId, post } from "./api.js";
+import { ApiError, newId, post } from "./api.js";
+import { Cards } from "./cards.js";
 import { Dragging } from "./drag.js";
-import { icon } from "./icons.js";
 import { setUpKeys } from "./keys.js";
-import { loadSheet, Player } from "./player.js";
-import { placeNames, Ranking } from "./ranking.js";
+import { closeSheets, loadSheets } from "./player.js";
+import { Playing } from "./playing.js";
+import { Ranking } from "./ranking.js";
+import { hideToast, say, toast } from "./saying.js";
+import { session } from "./session.js";
 import { settings } from "./settings.js";
+import { standing } from "./standing.js";
 import { setUpTheme } from "./theme.js";
+import { askName, openHelp, setUpDialogs, showName, unlock } from "./who.js";
 
 const RETRY_MS = 2000;
-const SPEEDS = [0.5, 1, 2, 4];
+const SAVING_SHOWN_MS = 120; // sooner it would only flicker
+const LOADING_SHOWN_MS = 250;
+const PASSED_OVER = 4; // queries whose videos cannot be read
+const REFRESH_EVERY = 10; // answers
 const byId = (id) => document.getElementById(id);
+const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
-let current = null; // {query, sheets}: what is shown
+let current = null; // {query, sheets, received: when it came, unless fetched ahead}: what is shown
 let ranking = null; // the order being made
-let answerIds = {}; // by verdict, of the answer being made: the same when it is sent again
 let ahead = []; // what comes next, fetched already
 let fetching = null; // a promise of one more
-let busy = false;
+let round = 0; // of showing something: who began in an earlier one gives way
+let busy = false; // something is being saved or taken back
 let shownAt = 0;
+let answered = 0;
+let unsure = null; // an answer that was sent and whose fate is unknown
+let undoing = null; // {id, target} of an undo whose fate is unknown
 
-const player = new Player((share) => {
-  byId("scrub").value = Math.round(share * 1000);
-});
-const dragging = new Dragging(byId("tray"), (video, place) => place_(video, place));
+const playing = new Playing();
+const dragging = new Dragging(byId("tray"), place_, () => busy || !current);
+const cards = new Cards(byId("cards"), dragging, pick, place_);
 
 // Fetching
 
 async function fetchQuery() {
-  const held = [current, ...ahead].filter(Boolean).map(({ query }) => query.query_id);
-  const query = await post("/api/queries", { annotator: settings.name, held });
-  const sheets = await Promise.all(query.videos.map(loadSheet));
-  return { query, sheets };
-}
-
-function fetchAhead() {
-  if (fetching || ahead.length) return;
-  const name = settings.name;
-  fetching = fetchQuery()
-    .then((entry) => name === settings.name && ahead.push(entry)) // else for who was here before
-    .catch(() => {}) // told when it is wanted
-    .finally(() => (fetching = null));
-}
-
-// Show the next query, as soon as there is one; began: when the person asked for it.
-async function advance(began) {
-  player.release();
-  for (const { bitmap } of current?.sheets ?? []) bitmap.close();
-  current = null;
-  if (!ahead.length && fetching) await fetching;
-  while (!current) {
+  const passed = [];
+  while (true) {
+    const mine = [current, ...ahead].filter(Boolean).map(({ query }) => query.query_id);
+    const body = { annotator: settings.name, page: session.page, held: [...mine, ...passed] };
+    const query = await post("/api/queries", body);
+    const received = performance.now();
     try {
-      show(ahead.shift() ?? (await fetchQuery()), began);
+      return { query, sheets: await loadSheets(query.videos), received };
     } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      if (error.code === "token_needed") return unlock();
-      showEmpty(error);
-      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
+      if (error.code !== "video_missing" || passed.length === PASSED_OVER) throw error;
+      passed.push(query.query_id);
     }
   }
 }
 
+function fetchAhead() {
+  if (fetching || ahead.length || standing.enough) return;
+  const name = settings.name;
+  fetching = fetchQuery()
+    .then(({ query, sheets }) => (name === settings.name ? ahead.push({ query, sheets }) : closeSheets(sheets)))
+    .catch(() => {}) // told when it is wanted
+    .finally(() => (fetching = null));
+}
+
+// Show the next query, as soon as there is one. answeredAt: when the person pressed save.
+async function advance(answeredAt = null) {
+  const mine = ++round;
+  leave();
+  const waits = setTimeout(showLoading, LOADING_SHOWN_MS);
+  try {
+    for (let tries = 0; mine === round; tries += 1) {
+      if (!ahead.length && fetching) await fetching;
+      const entry = mine === round ? (ahead.shift() ?? (await tryToFetch(tries))) : null;
+      if (entry && mine === round) return show(entry, answeredAt);
+      if (entry) ahead.push(entry);
+      else if (mine === round) await pause(RETRY_MS);
+    }
+  } finally {
+    clearTimeout(waits);
+  }
+}
+
+async function tryToFetch(tries) {
+  try {
+    return await fetchQuery();
+  } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    if (error.code === "token_needed") {
+      round += 1;
+      unlock();
+    } else if (!current) {
+      showEmpty(error);
+      if (tries % 5 === 0) standing.refresh();
+    }
+    return null;
+  }
+}
+
+function leave() {
+  if (current) closeSheets(current.sheets);
+  current = null;
+  ranking = null;
+  unsure = null;
+  playing.player.release();
+}
+
+function showLoading() {
+  if (!current) showNothing("loading", "One moment", "The videos are on their way.");
+}
+
 function showEmpty(error) {
-  byId("main").dataset.state = "empty";
-  byId("empty").hidden = false;
   const waits = error.code === "no_query";
-  byId("empty-title").textContent = waits ? "Nothing to rank just now" : "The page cannot go on";
-  byId("empty-text").textContent = `${error.message} This page goes on by itself.`;
-  refreshStanding();
+  const title = waits ? "Nothing to rank just now" : "The page cannot go on";
+  showNothing("empty", title, `${error.message} This page goes on by itself.`);
+}
+
+function showNothing(state, title, text) {
+  byId("main").dataset.state = state;
+  byId("empty").hidden = false;
+  byId("empty-title").textContent = title;
+  byId("empty-text").textContent = text;
 }
 
 // Showing
 
-function show(entry, began = performance.now(), places = null) {
-  const asked = performance.now();
+function show(entry, answeredAt = null, places = null) {
+  const began = performance.now();
   current = entry;
-  answerIds = {};
+  unsure = null;
   ranking = new Ranking(entry.query.videos.length);
   if (places) ranking.setAll(places);
   byId("empty").hidden = true;
   byId("main").dataset.state = "ready";
-  buildCards(entry.query.videos);
-  const canvases = [...document.querySelectorAll(".card canvas")];
-  player.speed = SPEEDS.includes(settings.speed) ? settings.speed : 1;
-  player.show(canvases, entry.sheets);
+  playing.show(cards.show(entry.query.videos), entry.sheets);
   update();
   shownAt = performance.now();
-  requestAnimationFrame(() => {
-    // The first frames are painted now.
-    performance.measure("query-to-playing", { start: asked });
-    performance.measure("submit-to-next", { start: began });
-    document.body.dataset.query = entry.query.query_id;
-    fetchAhead();
-  });
+  // In the second frame from now the first pictures are on the screen.
+  requestAnimationFrame(() =>
+    requestAnimationFrame(() => {
+      measure("shown-to-playing", began);
+      if (entry.received !== undefined) measure("query-to-playing", entry.received);
+      if (answeredAt !== null) measure("submit-to-next", answeredAt);
+      document.body.dataset.query = entry.query.query_id;
+      fetchAhead();
+    }),
+  );
 }
 
-function buildCards(videos) {
-  const names = placeNames(videos.length);
-  const cards = byId("cards");
-  cards.style.setProperty("--count", videos.length);
-  cards.style.setProperty("--columns", videos.length <= 4 ? videos.length : Math.ceil(videos.length / 2));
-  dragging.setPlaces(names);
-  const focused = document.activeElement?.closest?.(".card, .actions");
-  cards.replaceChildren(...videos.map((video, index) => buildCard(video, index, names)));
-  // Begin anew at the videos: Enter must not press the button of the last answer again.
-  if (focused) cards.focus({ preventScroll: true });
-}
-
-function buildCard(video, index, names) {
-  const card = document.createElement("article");
-  card.className = "card";
-  const button = document.createElement("button");
-  button.type = "button";
-  button.className = "video";
-  button.style.setProperty("--aspect", video.width / video.height);
-  const canvas = document.createElement("canvas");
-  const number = document.createElement("span");
-  number.className = "number";
-  number.textContent = index + 1;
-  button.append(canvas, number);
-  dragging.attach(button, index);
-  button.addEventListener("click", () => pick(index));
-  card.append(button, buildPlaces(index, names));
-  return card;
-}
-
-function buildPlaces(index, names) {
-  const places = document.createElement("fieldset");
-  places.className = "places";
-  const legend = document.createElement("legend");
-  legend.className = "unseen";
-  legend.textContent = `Place of video ${index + 1}`;
-  places.append(legend);
-  names.forEach((name, place) => {
-    const label = document.createElement("label");
-    const input = document.createElement("input");
-    input.type = "radio";
-    input.name = `place-${index}`;
-    input.value = place + 1;
-    input.addEventListener("change", () => place_(index, place + 1));
-    const text = document.createElement("span");
-    text.textContent = name;
-    label.append(input, text);
-    places.append(label);
-  });
-  return places;
+function measure(name, start) {
+  performance.measure(name, { start });
 }
 
 // The order that is being made
 
 function pick(video) {
-  if (!ranking || video >= ranking.count) return;
+  if (busy || !ranking || video >= ranking.count) return;
   ranking.pick(video);
   update(true);
 }
 
 function place_(video, place) {
-  ranking.set(video, place);
-  update(true);
+  if (ranking && !busy) ranking.set(video, place);
+  if (ranking) update(!busy);
 }
 
 function tie() {
-  ranking?.tie();
+  if (busy || !ranking) return;
+  ranking.tie();
+  update(true);
+}
+
+// Like every order, it is seen before it is saved.
+function allEqual() {
+  if (busy || !ranking) return;
+  ranking.setAll(ranking.places.map(() => 1));
+  update(true);
+}
+
+function back() {
+  if (busy || !ranking?.back()) return;
   update(true);
 }
 
 function update(changed = false) {
-  const names = placeNames(ranking.count);
-  const level = (place) => {
-    if (place === null) return "none";
-    if (place === 1) return "best";
-    return place === ranking.count ? "worst" : "middle";
-  };
-  document.querySelectorAll(".card").forEach((card, index) => {
-    const place = ranking.places[index];
-    card.dataset.level = level(place);
-    for (const input of card.querySelectorAll(".places input")) {
-      input.checked = Number(input.value) === place;
-    }
-    const said = place === null ? "no place yet" : names[place - 1].toLowerCase();
-    card.querySelector(".video").ariaLabel = `Video ${index + 1}: ${said}`;
-  });
+  cards.update(ranking);
   byId("save").disabled = !ranking.complete;
   const words = ranking.words();
   const hint = ranking.empty
     ? "Choose the videos from best to worst."
     : `From the best: ${words}${ranking.tieNext ? " The next one ties with the last." : ""}`;
   byId("hint").textContent = hint;
-  if (changed) answerIds = {};
   if (changed) say(ranking.complete ? `${hint} Save with Enter.` : hint);
+}
+
+let savingTimer = 0;
+
+// While something is on its way nothing else may be done: it would meet the wrong videos.
+function setBusy(value) {
+  busy = value;
+  byId("main").ariaBusy = value ? "true" : "false";
+  clearTimeout(savingTimer);
+  const name = (text) => (byId("save-name").textContent = text);
+  if (value) savingTimer = setTimeout(() => name("Saving…"), SAVING_SHOWN_MS);
+  else name("Save ranking");
 }
 
 // Answers
 
 async function answer(verdict) {
   if (busy || !current || (verdict === "ranked" && !ranking.complete)) return;
-  busy = true;
+  setBusy(true);
   const began = performance.now();
   const body = {
-    ranking_id: (answerIds[verdict] ??= newId()),
+    ranking_id: newId(),
     query_id: current.query.query_id,
     annotator: settings.name,
     verdict,
     ranks: verdict === "ranked" ? ranking.ranks() : [],
     response_s: Math.min(86400, (began - shownAt) / 1000),
   };
+  let stored = null;
   try {
-    const { standing } = await post("/api/rankings", body);
-    showStanding(standing);
-    hideToast();
-    byId("undo").disabled = false;
-    say("Saved. Next videos.");
-    await advance(began);
-    refreshStanding();
+    stored = await store(body);
   } catch (error) {
     if (!(error instanceof ApiError)) throw error;
     if (error.status === 409) await replace(error);
     else toast(`Not saved. ${error.message}`);
   } finally {
-    busy = false;
+    setBusy(false);
+  }
+  if (!stored) return;
+  standing.show(stored.standing);
+  hideToast();
+  byId("undo").disabled = false;
+  say("Saved. Next videos.");
+  answered += 1;
+  if (answered % REFRESH_EVERY === 0) standing.refresh();
+  await advance(began);
+}
+
+// Sent again, an answer is the same; when the order was changed meanwhile, the first one is made
+// sure of and then corrected.
+async function store(body) {
+  if (unsure && unsure.verdict === body.verdict && `${unsure.ranks}` === `${body.ranks}`) {
+    return send(unsure);
+  }
+  if (unsure) {
+    await send(unsure);
+    body.replaces = unsure.ranking_id;
+  }
+  return send(body);
+}
+
+async function send(body) {
+  try {
+    const stored = await post("/api/rankings", body);
+    if (body.replaces) session.dropAnswer(body.replaces);
+    session.addAnswer(settings.name, body.ranking_id);
+    undoing = null;
+    return stored;
+  } catch (error) {
+    if (error.status === 0 || error.status >= 500) unsure = body; // it may have arrived
+    throw error;
   }
 }
 
-// The query cannot be answered any more: it was answered elsewhere or came back too late. Ask for
-// it again; the order made so far stays where it is given again.
+// The query cannot be answered any more: it was answered elsewhere, or the server was restarted.
+// Ask for it again; the order made so far stays where it is given again.
 async function replace(error) {
-  const { query, sheets } = current;
-  const places = ranking.places;
+  const before = current;
+  const { places } = ranking;
+  const waiting = ahead;
   current = null;
   ahead = [];
   try {
     const entry = await fetchQuery();
-    if (entry.query.query_id === query.query_id) {
-      toast("The time for these videos had run out; they are yours again. Please save once more.");
-      show(entry, performance.now(), places);
-    } else {
-      toast(`Not saved: ${error.message}`);
-      show(entry);
-    }
-  } catch {
-    current = { query, sheets };
+    round += 1;
+    for (const { sheets } of [before, ...waiting]) closeSheets(sheets);
+    const isSame = entry.query.query_id === before.query.query_id;
+    toast(isSame ? "The server had lost sight of these videos. Please save once more." : `Not saved: ${error.message}`);
+    show(entry, null, isSame ? places : null);
+  } catch (failure) {
+    if (!(failure instanceof ApiError)) throw failure;
+    current = before;
+    ahead = waiting;
     toast(`Not saved. ${error.message}`);
   }
 }
 
 async function undo() {
-  if (busy) return;
-  busy = true;
+  if (busy || !settings.name) return;
+  setBusy(true);
+  // Pressed again after a lost answer it is the same undo, not a second one.
+  undoing ??= { id: newId(), target: session.lastAnswer(settings.name) };
+  const { id, target } = undoing;
   try {
-    const undone = await post("/api/undo", { annotator: settings.name, withdrawal_id: newId() });
-    const sheets = await Promise.all(undone.query.videos.map(loadSheet));
-    if (current) {
-      player.release(); // it comes again
-      ahead.unshift(current);
-    }
-    show({ query: undone.query, sheets }, performance.now(), undone.verdict === "ranked" ? undone.ranks : null);
-    showStanding(undone.standing);
+    const body = { annotator: settings.name, page: session.page, withdrawal_id: id, ranking_id: target };
+    const undone = await post("/api/undo", body);
+    const sheets = await loadSheets(undone.query.videos);
+    forgetUndo();
+    if (current) ahead.unshift(current); // it comes again
+    round += 1;
+    show({ query: undone.query, sheets }, null, undone.verdict === "ranked" ? undone.ranks : null);
+    standing.show(undone.standing);
+    toast("Your last answer is taken back.");
     say(`Your last answer is taken back. ${byId("hint").textContent}`);
   } catch (error) {
     if (!(error instanceof ApiError)) throw error;
-    toast(error.status === 409 ? "There is nothing to take back." : error.message);
+    if (error.status === 409) forgetUndo();
+    toast(error.status === 409 ? "There is nothing to take back." : `Not taken back. ${error.message}`);
   } finally {
-    busy = false;
+    setBusy(false);
+  }
+
+  function forgetUndo() {
+    undoing = null;
+    session.dropAnswer(target);
   }
 }
 
-// Standing
+// Who
 
-function showStanding({ given, wanted, needed }) {
-  byId("standing").hidden = false;
-  byId("standing-count").textContent = needed ? `${given} of ${wanted}` : `${given} ranked`;
-  byId("standing-more").textContent = needed ? `· ${needed} still needed` : wanted ? "· enough; more make it better" : "";
-  byId("standing-bar").hidden = !wanted;
-  if (wanted) byId("standing-bar").value = Math.min(1, given / wanted);
-}
-
-async function refreshStanding() {
-  try {
-    const progress = await get("/api/progress");
-    showStanding(progress.standing);
-    const own = progress.annotators.find(({ annotator }) => annotator === settings.name);
-    byId("undo").disabled = !own || own.ranked + own.undecided + own.skipped === 0;
-    byId("consistency").textContent =
-      own?.consistency == null
-        ? ""
-        : `Own consistency ${Math.round(own.consistency * 100)} % (${own.consistency_pairs} pairs)`;
-  } catch {
-    // the next answer tells
-  }
-}
-
-// Saying
-
-function say(text) {
-  byId("said").textContent = text;
-}
-
-let toastTimer = 0;
-
-function toast(text) {
-  clearTimeout(toastTimer);
-  byId("toast").textContent = text;
-  byId("toast").hidden = false;
-  toastTimer = setTimeout(hideToast, 6000);
-}
-
-function hideToast() {
-  byId("toast").hidden = true;
-}
-
-// Playing
-
-function setPlaying(playing) {
-  player.playing = playing;
-  byId("play").replaceChildren(icon(playing ? "pause" : "play"));
-  byId("play").ariaLabel = playing ? "Pause" : "Play";
-  byId("play").title = `${playing ? "Pause" : "Play"} (space)`;
-}
-
-function replay() {
-  player.seek(0);
-  setPlaying(true);
-}
-
-function stepFrames(count) {
-  setPlaying(false);
-  player.seek((Math.round(player.time / player.step) + count) * player.step);
-}
-
-function setSpeed(speed) {
-  player.speed = speed;
-  settings.speed = speed;
-  for (const input of document.querySelectorAll("[name=speed]")) {
-    input.checked = Number(input.value) === speed;
-  }
-}
-
-function changeSpeed(by) {
-  const index = SPEEDS.indexOf(player.speed) + by;
-  if (SPEEDS[index]) {
-    setSpeed(SPEEDS[index]);
-    say(`Speed ${SPEEDS[index]}`);
-  }
-}
-
-function setUpPlaying() {
-  byId("replay").append(icon("replay"));
-  byId("play").addEventListener("click", () => setPlaying(!player.playing));
-  byId("replay").addEventListener("click", replay);
-  byId("scrub").addEventListener("input", (event) => {
-    setPlaying(false);
-    player.seek((event.target.value / 1000) * player.duration);
-  });
-  for (const input of document.querySelectorAll("[name=speed]")) {
-    input.addEventListener("change", () => setSpeed(Number(input.value)));
-  }
-  setSpeed(SPEEDS.includes(settings.speed) ? settings.speed : 1);
-  setPlaying(true);
-}
-
-// Who and how
-
-function askName() {
-  const dialog = byId("who");
-  byId("name").value = settings.name ?? "";
-  byId("name-error").textContent = "";
-  dialog.showModal();
-}
-
-function setUpName() {
-  byId("who-form").addEventListener("submit", async (event) => {
-    event.preventDefault();
-    const name = byId("name").value.trim().replace(/\s+/g, " ").normalize("NFC");
-    try {
-      const query = await post("/api/queries", { annotator: name, held: [] });
-      begin(name, query);
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      if (error.status === 422) {
-        byId("name-error").textContent = error.message.replace(/^annotator: (Value error, )?/, "");
-      } else if (error.code === "token_needed") {
-        byId("who").close();
-        unlock();
-      } else {
-        begin(name, null);
-      }
-    }
-  });
-  byId("who").addEventListener("cancel", (event) => settings.name || event.preventDefault());
-  byId("person").addEventListener("click", askName);
-}
-
-async function begin(name, query) {
-  settings.name = name;
-  byId("who").close();
+function begin() {
+  for (const { sheets } of ahead) closeSheets(sheets);
+  ahead = [];
+  undoing = null;
   showName();
-  ahead = query ? [{ query, sheets: await Promise.all(query.videos.map(loadSheet)) }] : [];
   if (!settings.helped) {
     settings.helped = true;
-    byId("help").showModal();
+    openHelp();
   }
-  advance(performance.now());
-  refreshStanding();
-}
-
-function showName() {
-  byId("person").textContent = settings.name;
-  byId("person").ariaLabel = `Ranking as ${settings.name}. Change the name.`;
-  byId("person").hidden = false;
-}
-
-function unlock() {
-  byId("locked").showModal();
-}
-
-function setUpDialogs() {
-  byId("locked").addEventListener("cancel", (event) => event.preventDefault());
-  byId("locked-form").addEventListener("submit", () => {
-    settings.token = byId("token").value.trim().replace(/^.*#token=/, "");
-    location.reload();
-  });
-  byId("help-open").addEventListener("click", () => byId("help").showModal());
-  byId("shortcuts").checked = settings.shortcuts !== false;
-  byId("shortcuts").addEventListener("change", (event) => {
-    settings.shortcuts = event.target.checked;
-    showKeys();
-  });
-  showKeys();
-}
-
-function showKeys() {
-  document.querySelector(".keys").classList.toggle("off", settings.shortcuts === false);
+  advance();
+  standing.refresh();
 }
 
 function start() {
   setUpTheme();
-  setUpPlaying();
-  setUpName();
-  setUpDialogs();
-  setUpKeys({
-    pick,
-    tie,
-    replay,
-    undo,
-    stepFrames,
-    changeSpeed,
+  setUpDialogs(begin);
+  const actions = {
     save: () => answer("ranked"),
     undecided: () => answer("undecided"),
     skip: () => answer("skipped"),
     equal: allEqual,
-    togglePlaying: () => setPlaying(!player.playing),
-    help: () => byId("help").showModal(),
+    undo,
+  };
+  for (const [id, action] of Object.entries(actions)) byId(id).addEventListener("click", action);
+  setUpKeys({
+    ...actions,
+    pick,
+    tie,
+    back,
+    replay: () => playing.replay(),
+    togglePlaying: () => playing.toggle(),
+    stepFrames: (count) => playing.step(count),
+    changeSpeed: (by) => playing.changeSpeed(by),
+    help: openHelp,
   });
-  byId("save").addEventListener("click", () => answer("ranked"));
-  byId("undecided").addEventListener("click", () => answer("undecided"));
-  byId("skip").addEventListener("click", () => answer("skipped"));
-  byId("equal").addEventListener("click", allEqual);
-  byId("undo").addEventListener("click", undo);
-  if (!settings.name) {
-    askName();
-    return;
-  }
+  if (!settings.name) return askName();
   showName();
-  advance(performance.now());
-  refreshStanding();
-}
-
-// Like every order, it is seen before it is saved.
-function allEqual() {
-  if (!ranking) return;
-  ranking.setAll(ranking.places.map(() => 1));
-  update(true);
+  advance();
+  standing.refresh();
 }
 
 start();

@@ -7,6 +7,7 @@ export class Ranking {
     this.last = null; // place given last, which a tie shares
     this.tieNext = false;
     this.filled = null; // the video that got its place because it was the only one left
+    this.before = []; // what was, step by step
   }
 
   get complete() {
@@ -17,8 +18,25 @@ export class Ranking {
     return this.places.every((place) => place === null);
   }
 
+  note() {
+    const { places, last, tieNext, filled } = this;
+    this.before.push({ places: [...places], last, tieNext, filled });
+  }
+
+  // Take the last step back; false: there was none.
+  back() {
+    if (!this.before.length) return false;
+    Object.assign(this, this.before.pop());
+    return true;
+  }
+
   // Give a video a place; null takes its place away.
   set(video, place) {
+    this.note();
+    this.put(video, place);
+  }
+
+  put(video, place) {
     this.places[video] = place;
     this.last = place;
     this.tieNext = false;
@@ -28,15 +46,16 @@ export class Ranking {
   // Give a video the best place that is free, or, after a tie, the place given last. A second pick
   // takes the place away. When one video is left, it gets what remains.
   pick(video) {
+    this.note();
     if (video === this.filled) {
       this.filled = null;
       return;
     }
     if (this.places[video] !== null) {
-      this.set(video, null);
+      this.put(video, null);
       return;
     }
-    this.set(video, this.tieNext ? this.last : this.nextFree());
+    this.put(video, this.tieNext ? this.last : this.nextFree());
     const left = this.places.flatMap((place, index) => (place === null ? [index] : []));
     if (left.length === 1) {
       this.places[left[0]] = this.nextFree();
@@ -46,6 +65,7 @@ export class Ranking {
 
   // The video picked next, or the one that was left over, shares the place given last.
   tie() {
+    this.note();
     if (this.filled !== null) {
       this.places[this.filled] = this.last;
       this.filled = null;
@@ -55,6 +75,7 @@ export class Ranking {
   }
 
   setAll(places) {
+    this.note();
     this.places = [...places];
     this.last = null;
     this.tieNext = false;
