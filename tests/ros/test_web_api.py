@@ -196,14 +196,29 @@ def test_the_live_page_says_how_the_nodes_are(client: httpx.Client) -> None:
     refused(client.get("api/camera.jpg"), 404, "no_picture")
 
 
-def test_buttons_begin_one_thing_at_a_time_and_say_what_became_of_it(
+def test_an_encoder_cannot_be_swapped_where_no_node_embeds(
     client: httpx.Client,
 ) -> None:
     refused(client.post("api/encoder", json={"encoder": "imagenet"}), 503, "no_encoder")
-    assert client.post("api/align", json={}).status_code == 202
-    refused(client.post("api/align", json={}), 409, "busy")
-    job = outcome(client, "align")
-    assert job["state"] in ("failed", "done") and len(job["message"]) > 10, job
+    assert client.get("api/live").json()["swap"]["state"] == "idle"
+
+
+def test_an_alignment_is_one_at_a_time_and_its_end_is_told_even_when_its_node_dies(
+    tmp_path: Path,
+) -> None:
+    make_videos(tmp_path, 4, frames=3, size=16)
+    with web_system(tmp_path) as system, system.client() as client:
+        assert client.post("api/align", json={}).status_code == 202
+        refused(client.post("api/align", json={}), 409, "busy")
+        system.preference.kill()
+        assert outcome(client, "align") == {
+            "state": "failed", "share": None, "message": "preference is gone."
+        }  # fmt: skip
+        system.preference.restart()
+        system.until_ready()
+        assert client.post("api/align", json={}).status_code == 202
+        job = outcome(client, "align")
+        assert job["state"] == "failed" and "ranking" in job["message"], "none were given"
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import io
 import math
+import re
 import socket
 import subprocess
 import sys
@@ -232,6 +233,30 @@ def test_the_board_keeps_the_newest_and_knows_no_nan(tmp_path: Path) -> None:
     assert "NaN" not in view.model_dump_json()
     board.add_metrics(metrics(5))
     assert [point.steps for point in board.view().metrics] == [5], "another training"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_what_must_be_read_and_seen_stands_out(scheme: str) -> None:
+    """WCAG 2.2, 1.4.3 and 1.4.11: text 4.5:1, what tells a control or its state 3:1."""
+    css = (ROOT / "rapl_ros/rapl_ros/web/static/css/base.css").read_text()
+    start = css.index(":root {" if scheme == "light" else ':root[data-theme="dark"] {')
+    colours = dict(re.findall(r"--([\w-]+): (#\w{6});", css[start : css.index("}", start)]))
+    for ink, paper, least in (
+        ("ink-soft", "bg", 4.5), ("ink-soft", "surface", 4.5), ("ink-soft", "sunk", 4.5),
+        ("on-accent", "accent", 4.5), ("on-accent-mid", "accent-mid", 4.5),
+        ("surface", "ink-faint", 4.5), ("error", "surface", 4.5), ("error", "bg", 4.5),
+        ("accent", "bg", 3), ("ring-mid", "bg", 3), ("ink-faint", "bg", 3),
+        ("edge", "surface", 3),
+    ):  # fmt: skip
+        one, other = sorted((luminance(colours[ink]), luminance(colours[paper])))
+        assert (other + 0.05) / (one + 0.05) >= least, f"{ink} on {paper}"
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of #rrggbb."""
+    values = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
 
 
 def test_the_page_loads_no_torch() -> None:

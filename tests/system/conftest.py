@@ -1,12 +1,30 @@
-"""One whole run for the tests of a module: begun, stopped by Ctrl-C, resumed, left running."""
+"""A browser, and one whole run for the tests of a module: begun, stopped by Ctrl-C, resumed, left
+running."""
 
+import shutil
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from graph_run import RUN_DEADLINE_S, TINY, WORLDS, FinishedRun, GraphProbe, GraphRun
 from ros_harness import ros
 
 from rapl_ros import topics
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A real browser; without one the tests are skipped."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
+    with sync_api.sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield launched
+        launched.close()
 
 
 @pytest.fixture(scope="module")

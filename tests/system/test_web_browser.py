@@ -1,33 +1,23 @@
 """A person's whole job in a real browser: rank, tie, drag, undo, reload; nothing else is stored."""
 
 import json
-import shutil
+import os
+import platform
 import statistics
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from web_system import WebSystem, colour_of, make_videos, web_system
+from web_browser import VIDEOS, Person, ranks_of
+from web_system import WebSystem, make_videos, web_system
 
-sync_api = pytest.importorskip("playwright.sync_api")
-
-VIDEOS = 40
 QUERIES = 25
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FIGURES_VARIABLE = "RAPL_PAGE_FIGURES"
+"""Names a file for the measured times, as experiments/preferences/results/page_latency.json is."""
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    program = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if program is None:
-        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
-    with sync_api.sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield launched
-        launched.close()
 
 
 @pytest.fixture(scope="module")
@@ -52,76 +42,6 @@ def page(browser: Any, system: WebSystem) -> Iterator[Any]:
     yield opened
     context.close()
     assert not faults
-
-
-class Person:
-    """Ranks as a person does, and keeps what the store must hold."""
-
-    def __init__(self, page: Any, name: str) -> None:
-        self.page, self.name = page, name
-        self.rows: list[tuple[str, tuple[str, ...], tuple[int, ...]]] = []
-        """Verdict, videos as shown, ranks: in the order given, undone ones included."""
-
-    def introduce(self) -> None:
-        self.page.fill("#name", self.name)
-        self.page.press("#name", "Enter")
-        self.page.wait_for_selector("#help[open]")
-        self.page.press("body", "Escape")
-        self.page.wait_for_selector("body[data-query]")
-
-    def shown(self) -> tuple[str, ...]:
-        """Which videos are on the screen, told by the pixels of their corners."""
-        pixels = self.page.evaluate(
-            "[...document.querySelectorAll('.card canvas')].map((canvas) => "
-            "[...canvas.getContext('2d').getImageData(3, 3, 1, 1).data.slice(0, 3)])"
-        )
-        known = {colour_of(number): f"secret-{number:03d}" for number in range(VIDEOS)}
-        return tuple(known[tuple(pixel)] for pixel in pixels)
-
-    def query(self) -> str:
-        return self.page.get_attribute("body", "data-query")
-
-    def saves(self, verdict: str, ranks: tuple[int, ...], press: str) -> None:
-        """Press ``press``, expect the next query, note the row."""
-        before, shown = self.query(), self.shown()
-        if press.startswith("#"):
-            self.page.click(press)
-        else:
-            self.page.keyboard.press(press)
-        self.page.wait_for_function("(q) => document.body.dataset.query !== q", arg=before)
-        self.rows.append((verdict, shown, ranks))
-
-    def by_keys(self, order: list[int], press: str = "Enter") -> None:
-        for video in order[:-1]:  # the last one is left over
-            self.page.keyboard.press(str(video + 1))
-        self.saves("ranked", ranks_of(order), press)
-
-    def by_clicks(self, order: list[int]) -> None:
-        for video in order:
-            self.page.click(f".card:nth-child({video + 1}) .video")
-        self.saves("ranked", ranks_of(order), "#save")
-
-    def by_places(self, ranks: tuple[int, ...]) -> None:
-        for video, rank in enumerate(ranks):
-            self.page.check(f"input[name=place-{video}][value='{rank}']", force=True)
-        self.saves("ranked", ranks, "#save")
-
-    def by_drags(self, ranks: tuple[int, ...]) -> None:
-        mouse = self.page.mouse
-        for video, rank in enumerate(ranks):
-            box = self.page.locator(f".card:nth-child({video + 1}) .video").bounding_box()
-            mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-            mouse.down()
-            mouse.move(box["x"] + box["width"] / 2 + 30, box["y"] + box["height"] / 2 + 30)
-            place = self.page.locator(f".tray > div:nth-child({rank})").bounding_box()
-            mouse.move(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2, steps=3)
-            mouse.up()
-        self.saves("ranked", ranks, "#save")
-
-
-def ranks_of(order: list[int]) -> tuple[int, ...]:
-    """Ranks by position of an order from best to worst."""
-    return tuple(order.index(video) + 1 for video in range(len(order)))
 
 
 def report(page: Any, figures: dict[str, list[float]]) -> None:
@@ -209,6 +129,35 @@ def show_figures(figures: dict[str, list[float]]) -> None:
             f"{name}: n {len(ordered)}, median {statistics.median(ordered):.0f} ms, "
             f"95 % {worst:.0f} ms, most {ordered[-1]:.0f} ms"
         )
+    if FIGURES_VARIABLE in os.environ:
+        write_figures(Path(os.environ[FIGURES_VARIABLE]), figures)
+
+
+def write_figures(path: Path, figures: dict[str, list[float]]) -> None:
+    """Keep the measured times with what they were measured on."""
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True).stdout
+    record = {
+        "script": f"{FIGURES_VARIABLE}=FILE pytest {Path(__file__).name} -m browser",
+        "what": {
+            "submit-to-next": "from the press that saves to the next videos on the screen",
+            "query-to-playing": "from the receipt of a query that was waited for to its videos",
+            "shown-to-playing": "from the moment a query is shown to its videos on the screen",
+        },
+        "on the screen": "second animation frame after the first pictures were drawn",
+        "commit": commit.strip(),
+        "machine": f"{os.cpu_count()} x {platform.processor() or platform.machine()}",
+        "load_average_1_min": round(os.getloadavg()[0], 1),
+        "milliseconds": {
+            name: {
+                "n": len(times),
+                "median": round(statistics.median(times)),
+                "most": round(max(times)),
+                "each": [round(time) for time in times],
+            }
+            for name, times in sorted(figures.items())
+        },
+    }
+    path.write_text(json.dumps(record, indent=1) + "\n")
 
 
 def test_a_bad_name_is_refused_with_the_reason_and_nothing_runs(page: Any) -> None:
@@ -254,20 +203,31 @@ def test_it_works_by_keyboard_alone_and_says_what_it_does(page: Any, system: Web
         'button "Can’t say"',
     ):
         assert words in outline, outline
-    page.focus(".card:nth-child(2) .video")
+    tab_to(page, "Video 2: no place yet")
     page.keyboard.press("Enter")
     assert "2" in page.inner_text("#said")
-    page.keyboard.press("Tab")
-    page.keyboard.press("Space")  # a place of the same video: Best stays
-    for video in (0, 2):
-        page.focus(f"input[name=place-{video}][value='{video + 1}']")
+    for number in (1, 3):  # the best place of the others too
+        tab_to(page, f"place-{number - 1}")
         page.keyboard.press("Space")
+        page.keyboard.press("ArrowLeft" if number == 3 else "ArrowRight")
     before = page.get_attribute("body", "data-query")
-    page.focus("#save")
+    assert page.inner_text("#hint") == "From the best: 2, then 1 and 3 equal."
+    tab_to(page, "save")
     page.keyboard.press("Enter")
     page.wait_for_function("(q) => document.body.dataset.query !== q", arg=before)
     with system.store() as store:
-        assert [row.ranks for row in store.all("Ben")] == [(1, 1, 3)]
+        assert [row.ranks for row in store.all("Ben")] == [(2, 1, 2)]
+
+
+def tab_to(page: Any, wanted: str) -> None:
+    """Press Tab until the control of that label, name or id has the focus."""
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        if wanted in page.evaluate(
+            "(({ ariaLabel, name, id }) => [ariaLabel, name, id])(document.activeElement)"
+        ):
+            return
+    raise AssertionError(f"{wanted} is not to be reached by Tab")
 
 
 def test_the_videos_stay_in_step_and_can_be_scrubbed_and_sped_up(page: Any) -> None:
