@@ -111,7 +111,7 @@ def _watch(
     while not interrupt.number:
         supervisor.poll()
         view.spin(POLL_S)
-        page = _tell_page(request, page, console)
+        page = tell_page(request, page, console)
         code = supervisor.exit_code("conductor")
         if code is None or told:
             continue
@@ -125,7 +125,7 @@ def _watch(
     return 0 if told else INTERRUPTED
 
 
-def _tell_page(request: RunRequest, told: str, console: Console) -> str:
+def tell_page(request: RunRequest, told: str, console: Console) -> str:
     """Say where the page is, once it is there and when it has moved; return what was said."""
     if not request.web_host:
         return told

@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -25,7 +26,10 @@ from web_system import make_frames, make_videos
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import UnknownNameError
+from rapl_ros.console import Console
 from rapl_ros.progress import StageProgress
+from rapl_ros.run_all import tell_page
+from rapl_ros.run_config import WEB_ADDRESS_FILE
 from rapl_ros.web import connections
 from rapl_ros.web.guard import HostRule
 from rapl_ros.web.live import LiveBoard, RewardView
@@ -233,6 +237,21 @@ def test_the_board_keeps_the_newest_and_knows_no_nan(tmp_path: Path) -> None:
     assert "NaN" not in view.model_dump_json()
     board.add_metrics(metrics(5))
     assert [point.steps for point in board.view().metrics] == [5], "another training"
+
+
+def test_the_page_is_told_again_when_it_has_moved(tmp_path: Path) -> None:
+    said = io.StringIO()
+    request: Any = SimpleNamespace(web_host="0.0.0.0", folder=tmp_path)
+    file = tmp_path / WEB_ADDRESS_FILE
+    told = tell_page(request, "", Console(said))
+    for addresses in ("http://a:1/\nhttp://10.0.0.5:1/\n", "", "http://a:2/\n", "http://a:2/\n"):
+        file.write_text(addresses)
+        told = tell_page(request, told, Console(said))
+    assert said.getvalue().split("\n")[:2] == [
+        "The page is at http://a:1/ or http://10.0.0.5:1/",
+        "The page is at http://a:2/",
+    ]
+    assert said.getvalue().count("The page") == 2
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
