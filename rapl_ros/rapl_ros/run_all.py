@@ -13,7 +13,7 @@ from rapl_core.errors import RaplError
 from rapl_ros.console import Console
 from rapl_ros.domain import graph_environment
 from rapl_ros.options import RunRequest, build_parser, listing, parse
-from rapl_ros.run_config import WEB_ADDRESS_FILE, check_writable, save_config
+from rapl_ros.run_config import WEB_ADDRESS_FILE, check_writable, save_config, where
 from rapl_ros.run_lock import RunLock
 from rapl_ros.supervisor import Supervisor, describe_exit
 
@@ -133,7 +133,7 @@ def tell_page(request: RunRequest, told: str, console: Console) -> str:
         addresses = (request.folder / WEB_ADDRESS_FILE).read_text().split()
     except FileNotFoundError:
         return told
-    said = f"The page is at {' or '.join(addresses)}"
+    said = f"The page is at {where(addresses)}"
     if said != told and addresses:
         console.say(said)
         return said

@@ -1,6 +1,7 @@
 """The resolved settings of a run, kept as ``config.yaml`` in its folder."""
 
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -149,3 +150,12 @@ def check_writable(folder: Path) -> None:
     finally:
         with suppress(OSError):
             probe.unlink(missing_ok=True)
+
+
+def where(addresses: Sequence[str]) -> str:
+    """Say in words what WEB_ADDRESS_FILE holds: where people rank, and where one watches if that
+    has a token of its own."""
+    live = [address for address in addresses if "/live#" in address]
+    rank = [address for address in addresses if address not in live]
+    watch = f"; to watch and steer: {live[0]}" if live else ""
+    return " or ".join(rank) + watch

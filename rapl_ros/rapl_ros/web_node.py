@@ -16,11 +16,13 @@ from rapl_ros import conversions, qos, topics
 from rapl_ros.liveness import Peer
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
-from rapl_ros.run_config import WEB_ADDRESS_FILE, RunConfig, load_config
+from rapl_ros.run_config import WEB_ADDRESS_FILE, RunConfig, load_config, where
 from rapl_ros.web.app import WebApp
 from rapl_ros.web.guard import HostRule
 from rapl_ros.web.live import EncoderView, LiveBoard, RewardView
 from rapl_ros.web.server import (
+    OPERATOR_TOKEN_FILE,
+    TOKEN_FILE,
     ServerThread,
     address_of,
     addresses_for_others,
@@ -123,20 +125,23 @@ class WebNode(RaplNode):
         hosts = HostRule(config.host, config.allowed_hosts)
         # Behind a proxy the whole world may come from this machine.
         is_private = hosts.is_local and not any(config.allowed_hosts)
-        token = "" if is_private else token_of(config.run_folder)
-        listener = listen(config.host, config.port)
-        question = config.question or QUESTION
-        web = WebApp(
-            self._graph, self._graph, self._sheets, self._board, question, self._on_refusal
+        token, operator = (
+            "" if is_private else token_of(config.run_folder, name)
+            for name in (TOKEN_FILE, OPERATOR_TOKEN_FILE)
         )
-        self._server = ServerThread(web.guarded(hosts, token), listener)
+        listener = listen(config.host, config.port)
+        graph, question = self._graph, config.question or QUESTION
+        web = WebApp(graph, graph, self._sheets, self._board, question, self._on_refusal)
+        self._server = ServerThread(web.guarded(hosts, token, operator), listener)
         bare = address_of(listener)
-        fragment = f"#token={token}" if token else ""
-        addresses = [address + fragment for address in (bare, *addresses_for_others(listener))]
+        addresses = [bare, *addresses_for_others(listener)]
+        if token:
+            addresses = [f"{address}#token={token}" for address in addresses]
+            addresses.append(f"{bare}live#token={operator}")
         self.address = addresses[0]
         text = "".join(f"{address}\n" for address in addresses)
         write_atomically(config.run_folder / WEB_ADDRESS_FILE, text, mode=0o600)
-        self.get_logger().info(f"people rank at {' or '.join(addresses)}")
+        self.get_logger().info(f"people rank at {where(addresses)}")
         self.heartbeat.report("active", bare)
 
     def _refresh(self) -> None:

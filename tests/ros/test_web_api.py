@@ -461,6 +461,17 @@ def test_beyond_this_machine_every_request_needs_the_token(tmp_path: Path) -> No
                 refused(stranger.get(path), TOKEN_REFUSED, "token_needed")
             right = {"Authorization": f"Bearer {system.token}"}
             assert stranger.post("api/queries", json=body, headers=right).is_success
+            for path in ("api/progress", "api/progress?xannotator=a", "api/progress?annotator=",
+                         "api/live", "api/camera.jpg"):  # fmt: skip
+                refused(stranger.get(path, headers=right), 403, "operators_only")
+            refused(stranger.post("api/align", json={}, headers=right), 403, "operators_only")
+            assert stranger.get("api/progress?annotator=eve", headers=right).is_success
+            operator = (tmp_path / "web_operator_token").read_text().strip()
+            assert f"live#token={operator}" in system.web.text(), "it is printed"
+            steering = {"Authorization": f"Bearer {operator}"}
+            assert stranger.get("api/progress", headers=steering).is_success
+            assert stranger.get("api/live", headers=steering).is_success
+            assert stranger.post("api/queries", json=body, headers=steering).is_success
             rebound = right | {"Host": "evil.example"}
             refused(stranger.post("api/queries", json=body, headers=rebound), 403, "wrong_host")
         assert token_after_restart(system) == system.token

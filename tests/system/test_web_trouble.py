@@ -1,7 +1,6 @@
 """The page when things go wrong: answers lost, pictures broken, keys pressed too soon."""
 
 import json
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -9,8 +8,11 @@ import pytest
 from web_browser import VIDEOS
 from web_system import WebSystem, make_videos, web_system
 
+from rapl_core.types import Ranking
+
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
 
+WANTED = 60
 WIDE = {"width": 1280, "height": 800}
 PHONE = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touch": True}
 
@@ -19,7 +21,7 @@ PHONE = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touc
 def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebSystem]:
     folder = tmp_path_factory.mktemp("run")
     make_videos(folder, VIDEOS, frames=11, size=64)
-    with web_system(folder, preference_rankings_wanted=2) as running:
+    with web_system(folder, preference_rankings_wanted=WANTED) as running:
         yield running
 
 
@@ -118,6 +120,7 @@ def test_broken_pictures_and_answers_cut_short_are_asked_for_again(
     visit: Callable[..., Any],
 ) -> None:
     page = visit("broken")
+    page.wait_for_load_state("networkidle")  # one more is fetched ahead
     broken = {"status": 200, "content_type": "image/webp", "body": b"RIFFxxxx"}
     page.route("**/api/videos/*", lambda route: route.fulfill(**broken))
     rank(page)  # the one fetched ahead
@@ -166,17 +169,17 @@ def test_keys_during_saving_change_nothing_and_the_page_says_that_it_saves(
     visit: Callable[..., Any], system: WebSystem
 ) -> None:
     page = visit("hasty")
-
-    def serve(route: Any) -> None:
-        time.sleep(1.0)
-        route.continue_()
-
-    page.route("**/api/rankings", serve)
+    held: list[Any] = []
+    page.route("**/api/rankings", held.append)
     before = query(page)
     for key in ("1", "2", "Enter", "3", "e", "Backspace", "s"):
         page.keyboard.press(key)
+    page.click(".card:nth-child(3) .video")
     assert page.get_attribute("#main", "aria-busy") == "true"
     page.wait_for_function("() => document.getElementById('save').textContent.includes('Saving…')")
+    assert page.inner_text("#hint") == "From the best: 1, then 2, then 3."
+    (route,) = held
+    route.continue_()
     until_next(page, before)
     assert page.inner_text("#hint") == "Choose the videos from best to worst."
     with system.store() as store:
@@ -218,22 +221,6 @@ def test_a_second_tab_gets_other_videos_and_a_name_that_is_known_is_asked_about(
     assert stranger.inner_text("#toast") == "There is nothing to take back."
 
 
-def test_when_there_are_enough_the_page_says_so_and_fetches_no_more_ahead(
-    visit: Callable[..., Any],
-) -> None:
-    page = visit("enough")
-    for _ in range(2):
-        rank(page)
-    page.wait_for_function(
-        "() => document.getElementById('standing-more').textContent === '· Enough, thank you.'"
-    )
-    asked = []
-    page.on("request", lambda request: asked.append(request.url))
-    rank(page)  # asked for when it is wanted
-    page.wait_for_timeout(500)
-    assert sum("api/queries" in url for url in asked) == 1
-
-
 def test_a_finger_scrolls_down_at_once_and_drags_after_a_long_press(
     visit: Callable[..., Any],
 ) -> None:
@@ -270,3 +257,21 @@ def test_a_telephone_on_its_side_shows_everything_without_scrolling(
         box = page.locator(selector).bounding_box()
         assert box["y"] >= 0 and box["y"] + box["height"] <= 360, selector
     assert page.locator(".card:first-child canvas").bounding_box()["height"] >= 90
+
+
+def test_when_there_are_enough_the_page_says_so_and_fetches_no_more_ahead(
+    visit: Callable[..., Any], system: WebSystem
+) -> None:
+    page = visit("enough")
+    with system.store() as store:
+        for number in range(WANTED):
+            videos = (f"secret-{number % 20:03d}", "secret-030", "secret-031")
+            store.add(Ranking(f"crowd-{number}", "crowd", videos, (1, 2, 3)))
+    rank(page)
+    assert page.inner_text("#standing-more") == "· Enough, thank you."
+    rank(page)  # what was fetched ahead before
+    asked = []
+    page.on("request", lambda request: asked.append(request.url))
+    rank(page)  # asked for when it is wanted
+    page.wait_for_timeout(500)
+    assert sum("api/queries" in url for url in asked) == 1

@@ -84,9 +84,9 @@ class WebApp:
         self._tasks: set[asyncio.Task[None]] = set()
         self.api = self._build()
 
-    def guarded(self, hosts: HostRule, token: str) -> Guard:
+    def guarded(self, hosts: HostRule, token: str, operator_token: str) -> Guard:
         """Return the application behind its guard."""
-        return Guard(self.api, hosts, token, self._on_refusal)
+        return Guard(self.api, hosts, token, operator_token, self._on_refusal)
 
     def _build(self) -> FastAPI:
         api = FastAPI(

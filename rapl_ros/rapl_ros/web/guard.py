@@ -13,6 +13,7 @@ import re
 import socket
 from collections.abc import Callable, Iterable
 from http import HTTPStatus
+from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -20,6 +21,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rapl_ros.web.problems import RefusedError
 
 API = "/api/"
+OPERATORS = frozenset({"/api/live", "/api/camera.jpg", "/api/align", "/api/encoder"})
+PROGRESS = "/api/progress"
+"""Of everybody, it is for operators; of one annotator, for people."""
 BODY_LIMIT = 16 * 1024
 """Bytes. A ranking takes some 300."""
 BODY_PATIENCE_S = 10.0
@@ -79,6 +83,7 @@ class Guard:
     """ASGI middleware that refuses what must not come through, and says so.
 
     :param token: that each request under ``/api/`` must bring; empty: none is asked for.
+    :param operator_token: that opens everything, and alone what people who rank need not see or do.
     :param on_refusal: told code and message of each refusal; called on the server's thread.
     """
 
@@ -87,9 +92,11 @@ class Guard:
         app: ASGIApp,
         hosts: HostRule,
         token: str,
+        operator_token: str,
         on_refusal: Callable[[str, str], None],
     ) -> None:
-        self._app, self._hosts, self._token = app, hosts, token
+        self._app, self._hosts = app, hosts
+        self._token, self._operator_token = token, operator_token
         self._on_refusal = on_refusal
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -137,12 +144,7 @@ class Guard:
         if (is_api or scope["method"] not in SAFE_METHODS) and site not in ("none", "same-origin"):
             raise _forbidden("wrong_origin", "requests from another site are not taken")
         if is_api and self._token:
-            kind, _, given = headers.get("authorization", "").partition(" ")
-            if kind.lower() != "bearer" or not hmac.compare_digest(
-                given.strip().encode(), self._token.encode()
-            ):
-                text = "a token is needed; the address printed at start carries it"
-                raise RefusedError(HTTPStatus.UNAUTHORIZED, "token_needed", text)
+            self._check_token(scope, headers.get("authorization", ""))
         if scope["method"] not in SAFE_METHODS:
             kind = headers.get("content-type", "").partition(";")[0].strip().lower()
             if kind != "application/json":
@@ -151,6 +153,30 @@ class Guard:
             length = headers.get("content-length", "0")
             if not length.isdigit() or len(length) > 9 or int(length) > BODY_LIMIT:
                 raise _too_large()
+
+    def _check_token(self, scope: Scope, authorization: str) -> None:
+        kind, _, given = authorization.partition(" ")
+        if kind.lower() != "bearer":
+            given = ""
+        if _is_same(given, self._operator_token):
+            return
+        if not _is_same(given, self._token):
+            text = "a token is needed; the address printed at start carries it"
+            raise RefusedError(HTTPStatus.UNAUTHORIZED, "token_needed", text)
+        if _is_for_operators(scope):
+            text = "this needs the operator's token; the address printed for /live carries it"
+            raise _forbidden("operators_only", text)
+
+
+def _is_same(given: str, token: str) -> bool:
+    return hmac.compare_digest(given.strip().encode(), token.encode())
+
+
+def _is_for_operators(scope: Scope) -> bool:
+    """Whether a request shows or does what people who rank need not: the system, other people."""
+    if scope["path"] == PROGRESS:
+        return not parse_qs(scope["query_string"].decode("latin-1")).get("annotator")
+    return scope["path"] in OPERATORS
 
 
 async def _whole_body(receive: Receive) -> Receive:

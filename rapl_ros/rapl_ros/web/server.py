@@ -16,6 +16,7 @@ from rapl_core.errors import RaplError
 from rapl_ros.web.connections import CONNECTIONS, PatientProtocol
 
 TOKEN_FILE = "web_token"
+OPERATOR_TOKEN_FILE = "web_operator_token"
 PORTS_TRIED = 20
 STOP_S = 2.0
 SPARE_FILES = 500
@@ -80,10 +81,10 @@ def addresses_for_others(listener: socket.socket) -> list[str]:
     return [f"http://{address}:{port}/" for address in found]
 
 
-def token_of(run_folder: Path) -> str:
-    """Return the run's token: made once, kept in a file that only its owner can read, so that a
+def token_of(run_folder: Path, name: str = TOKEN_FILE) -> str:
+    """Return a token of the run: made once, kept in a file that only its owner can read, so that a
     restarted server takes the same one."""
-    path = run_folder / TOKEN_FILE
+    path = run_folder / name
     try:
         kept = path.read_text().strip()
         if len(kept) >= 32:

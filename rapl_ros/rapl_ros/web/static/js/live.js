@@ -124,7 +124,7 @@ function showPeople({ standing, videos, agreement, agreement_pairs: pairs, annot
 
 function showLink(error) {
   const link = byId("link");
-  const text = error ? (error.code === "token_needed" ? "token needed" : "no connection") : "live";
+  const text = error ? (["token_needed", "operators_only"].includes(error.code) ? "operator’s token needed" : "no connection") : "live";
   link.dataset.health = error ? "error" : "ok";
   if (link.textContent !== text) link.textContent = text;
 }
