@@ -47,7 +47,7 @@ def take(browser: Browser, address: str, name: str, folder: Path, screen: str) -
     known = json.dumps(json.dumps({"name": "Anna", "helped": True}))
     context.add_init_script(f"localStorage.setItem('rapl', {known})")
     page = context.new_page()
-    page.goto(address + path, timeout=120_000)
+    page.goto(f"{address}{path}", timeout=120_000)
     page.wait_for_selector(selector, timeout=120_000)
     page.wait_for_timeout(LOOK_MS)
     if name == "rank":
@@ -66,6 +66,7 @@ def main() -> None:
     """Take all eight."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("address", help="of the page, as it was printed; ends with a slash")
+    parser.add_argument("--pages", nargs="+", choices=sorted(PAGES), default=sorted(PAGES))
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
     arguments = parser.parse_args()
     program = shutil.which("chromium") or shutil.which("google-chrome")
@@ -74,7 +75,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        for name in PAGES:
+        for name in arguments.pages:
             for screen in SCREENS:
                 take(browser, arguments.address, name, arguments.out, screen)
         browser.close()

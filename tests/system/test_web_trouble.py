@@ -170,7 +170,7 @@ def test_keys_during_saving_change_nothing_and_the_page_says_that_it_saves(
 ) -> None:
     page = visit("hasty")
     held: list[Any] = []
-    page.route("**/api/rankings", held.append)
+    page.route("**/api/rankings", lambda route: held.append(route))
     before = query(page)
     for key in ("1", "2", "Enter", "3", "e", "Backspace", "s"):
         page.keyboard.press(key)

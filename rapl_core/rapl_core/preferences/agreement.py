@@ -95,8 +95,8 @@ def agreement_table(rankings: Iterable[Ranking]) -> AgreementTable:
                 pairs[place] += len(signs) * len(others)
     for name, repeated in _repeats(rankings):
         i = number[name]
-        for signs in pair_signs(repeated).values():
-            for first, second in combinations(signs[name], 2):
+        for own in pair_signs(repeated).values():
+            for first, second in combinations(own[name], 2):
                 alike[i, i] += _likeness(first, second)
                 pairs[i, i] += 1
     with np.errstate(invalid="ignore"):
