@@ -68,9 +68,10 @@ class WebNode(RaplNode):
 
     Subscribes ``progress``, ``metrics``, ``reward``, ``encoder_info``, ``/diagnostics``, the
     heartbeats of all nodes and, while somebody looks at them, the pictures of
-    ``camera/image_raw``. Publishes ``unreadable_episode`` (std_msgs/String). Calls ``preference/get_query``, ``preference/submit_ranking``,
-    ``preference/undo``, ``preference/get_progress``, ``preference/align`` and sets the parameter
-    ``encoder`` of ``encoder``. HTTP is served on a thread of its own.
+    ``camera/image_raw``. Publishes ``unreadable_episode`` (std_msgs/String). Calls
+    ``preference/get_query``, ``preference/submit_ranking``, ``preference/undo``,
+    ``preference/get_progress``, ``preference/align`` and sets the parameter ``encoder`` of
+    ``encoder``. HTTP is served on a thread of its own.
     """
 
     def __init__(self, **options: Any) -> None:
