@@ -4,6 +4,7 @@ import math
 import time
 from collections import deque
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from rapl_core.policies import (
     LearningCurve,
     MetricsLog,
     Part,
+    Relabelling,
+    RewardLabels,
     RewardSource,
     SacConfig,
     ScheduleConfig,
@@ -29,6 +32,8 @@ from rapl_ros.wire import EpisodeReward, LearnerMetrics, World
 
 POLICIES = "policies"
 RECENT_EPISODES = 100
+AfterSwap = Literal["empty", "relabel"]
+"""What becomes of the rewards that learning holds when they come from another source."""
 UNREWARDED_EPISODES = 2
 """A world; while more lack their reward no new episode begins."""
 
@@ -41,6 +46,8 @@ class LearnerSession:
 
     :param world: what is to be controlled.
     :param run_folder: gets policies/ (checkpoints, curve) and metrics/ (TensorBoard).
+    :param after_swap: ``empty``: the replay buffer is emptied. ``relabel``: no round begins until
+        what is held was rewarded again.
     """
 
     def __init__(
@@ -50,6 +57,7 @@ class LearnerSession:
         schedule: ScheduleConfig,
         seed: int,
         run_folder: Path,
+        after_swap: AfterSwap = "empty",
     ) -> None:
         self.task = get_task(world.task)
         self.worlds = world.worlds
@@ -61,14 +69,17 @@ class LearnerSession:
         self.curve = LearningCurve()
         self.dropped = 0
         self.swaps = 0
-        """Times that the source of rewards became another and the replay buffer was emptied."""
+        """Times that the source of rewards became another."""
+        self.relabelled = 0
+        """Episodes that were rewarded again."""
+        self._after_swap = after_swap
+        self._labels = RewardLabels(self.learning)
         self._log = MetricsLog(run_folder / "metrics")
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=RECENT_EPISODES)
         self._tallies: dict[str, EpisodeTally] = {}
         self._waiting_s: dict[str, float] = {}
         self._totals: dict[str, float] = {}
         """Sum of rewards by episode id; NaN for an episode that was dropped."""
-        self._must_clear = False
         self._wall_before_s = 0.0
         self._began_s = time.monotonic()
         self._pace: deque[tuple[float, int]] = deque(maxlen=50)
@@ -90,7 +101,9 @@ class LearnerSession:
 
         :raises CorruptFileError: if it is damaged, or of another config or seed.
         """
-        driver = self.learning.restore(checkpoint)["driver"].values
+        parts = self.learning.restore(checkpoint)
+        self._labels.restore(parts.get("labels"))
+        driver = parts["driver"].values
         self.curve = LearningCurve.from_rows(driver["curve"])
         self._recent.extend((float(a), float(b), float(c)) for a, b, c in driver["recent"])
         self._wall_before_s = float(driver["wall_s"])
@@ -105,7 +118,8 @@ class LearnerSession:
             "wall_s": self._wall_s,
             "dropped": self.dropped,
         }
-        path = self.learning.save(self.checkpoints, {"driver": Part(values=values)})
+        more = {"driver": Part(values=values), "labels": self._labels.state()}
+        path = self.learning.save(self.checkpoints, more)
         for name in ("curve.json", "curve.csv"):
             self.curve.save(self.folder / name)
         return path
@@ -115,6 +129,7 @@ class LearnerSession:
     def begin_round(self) -> TrainingPlayer:
         """Release what is due to the replay buffer; the player of the next round."""
         self._clear_if_due()
+        self._labels.released()
         self.learning.begin_round()
         return TrainingPlayer(self.task, self.learning, self.learning.schedule.next_episode)
 
@@ -175,8 +190,10 @@ class LearnerSession:
         if trace is None:
             self._drop(name, reason or "reward not valid")
             return
-        self._note_source(RewardSource(whose.encoder or "human_reward", whose.version, trace.scale))
+        source = RewardSource(whose.encoder or "human_reward", whose.version, trace.scale)
+        self._note_source(source)
         self.learning.stager.reward(name, True, trace.values)
+        self._labels.note(name, source)
         self._settle(name, trace.total)
 
     def expire_rewards(self, deadline_s: float) -> list[str]:
@@ -193,22 +210,39 @@ class LearnerSession:
         self._waiting_s = dict.fromkeys(self._waiting_s, now_s)
 
     def _note_source(self, source: RewardSource) -> None:
-        """After an encoder swap the replay buffer is emptied: its rewards mean something else."""
+        """Rewards of another source mean something else, and what is held must not be mixed."""
         known = self.learning.reward_source
         self.learning.reward_source = source
         if known in (None, source):
             return
+        self.swaps += 1
+        if self._after_swap == "relabel":
+            return
         for name in self.learning.stager.forget_rewards():
             self.learning.stager.drop(name, f"rewarded by {known} before the swap")
             self.dropped += 1
-        self.swaps += 1
-        self._must_clear = True
+
+    # After a swap
+
+    @property
+    def needs_relabelling(self) -> bool:
+        """Whether episodes must be rewarded again before the next round."""
+        return self._after_swap == "relabel" and bool(self._labels.outdated())
+
+    def begin_relabelling(self) -> Relabelling:
+        """What is to be rewarded again; no gradient step goes on meanwhile."""
+        self.learning.settle()
+        return Relabelling(self._labels.outdated())
+
+    def end_relabelling(self, relabelling: Relabelling) -> None:
+        """Learn from the new rewards; what could not be rewarded again is dropped and counted."""
+        self._labels.apply(relabelling)
+        self.relabelled += len(relabelling.rewards)
+        self.dropped += len(relabelling.lost)
 
     def _clear_if_due(self) -> None:
-        if self._must_clear:
-            self.learning.settle()
-            self.learning.trainer.clear_buffer()
-            self._must_clear = False
+        if self._after_swap == "empty" and self._labels.outdated():
+            self._labels.clear()
 
     def _drop(self, name: str, reason: str) -> None:
         if math.isnan(self._totals.get(name, 0.0)):  # given up before; ot_reward says so too

@@ -103,6 +103,16 @@ class Learning:
         self._join()
         self.trainer.refresh()
 
+    def relabel(self, rewards: Mapping[str, NDArray[np.float64]]) -> int:
+        """Give what is in the replay buffer new rewards (T,) by episode id and drop the rest.
+
+        Between two rounds, when the gradient steps under way have ended.
+
+        :return: how many episodes are left.
+        """
+        self._join()
+        return self.trainer.relabel(rewards)
+
     def save(self, folder: CheckpointFolder, more: Mapping[str, Part] | None = None) -> Path:
         """Write a checkpoint, at the end of a round.
 

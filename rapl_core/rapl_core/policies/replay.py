@@ -80,6 +80,10 @@ class EpisodeReplay(ReplayBuffer):
         """Return the episodes that are held entirely, the oldest first."""
         return [span.episode_id for span in self._spans]
 
+    def lengths(self) -> dict[str, int]:
+        """Return T of the episodes that are held entirely, the oldest first."""
+        return {span.episode_id: span.length for span in self._spans}
+
     def relabel(self, rewards: Mapping[str, NDArray[np.float64]]) -> int:
         """Give episodes new rewards, drop those that have none, and return how many are left.
 

@@ -125,6 +125,14 @@ class EpisodeStager:
         )
         return [self._release(episode_id) for _, episode_id in ready]
 
+    def rewarded(self) -> dict[str, int]:
+        """Return T of the rewards of every staged episode that has some, by episode id."""
+        return {
+            episode_id: len(staged.rewards)
+            for episode_id, staged in sorted(self._staged.items())
+            if staged.rewards is not None
+        }
+
     def forget_rewards(self) -> list[str]:
         """Take back the rewards of what is staged, e.g. after an encoder swap; return the ids."""
         held = sorted(i for i, staged in self._staged.items() if staged.rewards is not None)
