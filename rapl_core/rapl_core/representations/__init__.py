@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         save_encoder,
     )
     from rapl_core.representations.encoder import Encoder
+    from rapl_core.representations.episode_embedder import EpisodeEmbedder
     from rapl_core.representations.extractor import FeatureRecipe, make_extractor
     from rapl_core.representations.features import FeatureStore, find_parts
     from rapl_core.representations.pooling import Pooling
@@ -31,6 +32,7 @@ _HOMES = {
     "AlignmentReport": "report",
     "Encoder": "encoder",
     "EncoderCard": "card",
+    "EpisodeEmbedder": "episode_embedder",
     "EpochProgress": "training",
     "FeatureRecipe": "extractor",
     "FeatureStore": "features",
@@ -60,6 +62,7 @@ __all__ = [
     "AlignmentReport",
     "Encoder",
     "EncoderCard",
+    "EpisodeEmbedder",
     "EpochProgress",
     "FeatureRecipe",
     "FeatureStore",

@@ -30,9 +30,9 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
     """(T, F) features by episode id.
 
     A video's features lie in ``folder/<extractor version>-<precision>-<dtype>/<hash of its
-    frames>.safetensors``, so that they are found again whatever the episode is called. Only
-    training reads them (float16 is off by 5e-4); what the robot is rewarded with is embedded from
-    the frames in float32.
+    frames>.safetensors``, so that they are found again whatever the episode is called. Training
+    reads them in float16, which is off by 5e-4; what the robot is rewarded with is embedded from
+    the frames, or from features in float32 and of precision float32, which are the same.
     """
 
     def __init__(
@@ -70,6 +70,13 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
         if self.mirror:
             twin = np.ascontiguousarray(frames[:, :, ::-1])
             self._features[MIRRORED + episode_id] = self._found(episode_id, twin)
+
+    def look_up(self, episode_id: str, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Compute or find the features (T, F) of a video's frames without keeping them in memory.
+
+        :raises ShapeError: as :meth:`add`.
+        """
+        return self._found(check_episode_id(episode_id), frames).astype(np.float32)
 
     def _found(self, episode_id: str, frames: NDArray[np.uint8]) -> NDArray[Any]:
         """From the cache or the backbone."""

@@ -6,6 +6,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rapl_core.errors import RaplError
 from rapl_core.streaming.assembler import AssemblerLimits, EpisodeAssembler, Outcome
 from rapl_core.streaming.reward_rule import RewardRule, plain_reward
@@ -127,6 +130,19 @@ class RewardDesk:
                 self._waiting.append((episode, since_s))
         return decisions
 
+    def reward_again(self, version: str, z: NDArray[np.float32]) -> RewardTrace:
+        """Reward of an episode that had its one reward before, under another version.
+
+        :param z: (T, D) embeddings of the frames arrived in, by the encoder of this version.
+        :raises RaplError: if rewards come from r*, if the version or its experts are not known
+            (yet), or the embeddings do not fit.
+        """
+        if self.config.source != "embedding":
+            raise RaplError(f"rewards come from {self.config.source}: no encoder changes them")
+        if not self._knows(version):
+            raise RaplError(f"encoder version {version} is not known (yet)")
+        return self._by_rule(version, z)
+
     def _decide(self, outcomes: list[Outcome], now_s: float) -> list[RewardDecision]:
         decisions = []
         for outcome in outcomes:
@@ -146,8 +162,11 @@ class RewardDesk:
     def _can_score(self, episode: JoinedEpisode) -> bool:
         if self.config.source == "human_reward":
             return True
-        rule = self._rules.get(episode.version)
-        return rule is not None and (not rule.needs_experts or episode.version in self._experts)
+        return self._knows(episode.version)
+
+    def _knows(self, version: str) -> bool:
+        rule = self._rules.get(version)
+        return rule is not None and (not rule.needs_experts or version in self._experts)
 
     def _score(self, episode: JoinedEpisode) -> RewardDecision:
         try:
@@ -162,9 +181,12 @@ class RewardDesk:
             if episode.human_rewards is None:
                 raise RaplError("the true reward is unknown: the states have no truth")
             return plain_reward(episode.human_rewards, self.config.human_reward_scale)
-        rule = self._rules[episode.version]
-        experts = self._experts[episode.version].experts if rule.needs_experts else ()
-        return rule.reward(episode.embeddings, experts)
+        return self._by_rule(episode.version, episode.embeddings)
+
+    def _by_rule(self, version: str, z: NDArray[np.float32]) -> RewardTrace:
+        rule = self._rules[version]
+        experts = self._experts[version].experts if rule.needs_experts else ()
+        return rule.reward(z, experts)
 
     def _dropped(
         self, outcome: DroppedEpisode, episode: JoinedEpisode | None = None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from streams import State, embeddings, states
 
-from rapl_core.errors import UnknownNameError
+from rapl_core.errors import RaplError, UnknownNameError
 from rapl_core.streaming.reward_desk import DeskConfig, RewardDecision, RewardDesk
 from rapl_core.streaming.reward_rule import RewardRule
 from rapl_core.transport import TransportConfig, ot_reward
@@ -106,3 +106,25 @@ def test_the_human_reward_of_a_robot_without_truth_is_refused() -> None:
 def test_an_unknown_reward_kind_names_the_known() -> None:
     with pytest.raises(UnknownNameError, match="known: clock, goal, ot, scalar"):
         RewardRule("magic")  # type: ignore[arg-type]
+
+
+def test_an_episode_is_rewarded_again_as_it_would_have_been_and_counts_once() -> None:
+    desk = ready_desk()
+    (decision,) = play(desk, "e")
+    z = np.array([[1, 1], [2, 1], [3, 1]], np.float32)
+    again = desk.reward_again("aaaa", z)
+    assert decision.trace is not None
+    np.testing.assert_array_equal(again.values, decision.trace.values)
+    assert desk.rewarded == 1 and desk.pending == 0
+
+
+def test_no_reward_again_without_the_version_its_experts_or_an_encoder() -> None:
+    desk = ready_desk()
+    z = np.ones((3, 2), np.float32)
+    with pytest.raises(RaplError, match="version bbbb is not known"):
+        desk.reward_again("bbbb", z)
+    desk.set_rule("bbbb", RULE)
+    with pytest.raises(RaplError, match="version bbbb is not known"):
+        desk.reward_again("bbbb", z)
+    with pytest.raises(RaplError, match="human_reward"):
+        RewardDesk(DeskConfig(source="human_reward")).reward_again("aaaa", z)
