@@ -13,6 +13,7 @@ from rapl_core.atomic import write_atomically
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RankingError
 from rapl_core.preferences import RankingStore, triplets_from
+from rapl_core.preferences.own_videos import videos_to_learn_from
 from rapl_core.preferences.people import (
     GroupLesson,
     PeopleConfig,
@@ -131,7 +132,7 @@ def run_alignment(
     looks = several or order.people.noise == "estimated" or order.people.groups != 1
     features: FeatureStore | None = None
     if looks or method.lesson == "rankings":
-        features = _features(order, preset.recipe, preset.mirror, on_video)
+        features = _features(order, preset.recipe, preset.mirror, rankings, on_video)
     summary = None
     if looks and features is not None:
         summary = summarise({n: features[n] for n in features if not n.startswith(MIRRORED)})
@@ -213,9 +214,18 @@ def _rankings(order: AlignmentOrder) -> list[Ranking]:
 
 
 def _features(
-    order: AlignmentOrder, recipe: FeatureRecipe, mirror: bool, on_video: Callable[[int, int], None]
+    order: AlignmentOrder,
+    recipe: FeatureRecipe,
+    mirror: bool,
+    rankings: Sequence[Ranking],
+    on_video: Callable[[int, int], None],
 ) -> FeatureStore:
-    """Features of every video of the pool; those in no triplet serve the statistics."""
+    """Features of every video of the pool, for those in no triplet serve the statistics, and of
+    the learner's own videos that were ranked.
+
+    Parts are found in the pool alone, so that an encoder that is aligned again reads the same
+    features: what the backbone gave for thousands of frames stays valid.
+    """
     episodes = EpisodeStore(order.run_folder / "episodes")
     pool = [e.episode_id for e in episodes.summaries() if e.purpose in order.purposes]
     extractor = make_extractor(order.backbone or DEFAULT_BACKBONE, recipe, order.weights)
@@ -223,8 +233,9 @@ def _features(
     features = FeatureStore(
         extractor, order.run_folder / "features", order.precision, mirror=mirror
     )
-    for done, episode_id in enumerate(pool):
-        on_video(done, len(pool))
+    videos = videos_to_learn_from(pool, rankings)
+    for done, episode_id in enumerate(videos):
+        on_video(done, len(videos))
         features.add(episode_id, episodes.frames(episode_id)[1:])
-    on_video(len(pool), len(pool))
+    on_video(len(videos), len(videos))
     return features

@@ -28,6 +28,7 @@ from rapl_core.streaming.reward_rule import RewardRule
 from rapl_core.types import ExpertSet
 from rapl_ros import conversions, qos, topics
 from rapl_ros.diagnostics import BAD_INPUT_S
+from rapl_ros.embedding_again import EmbeddingAgain
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters
 from rapl_ros.wire import EmbeddedFrame, JoinKey
@@ -96,6 +97,7 @@ class EncoderNode(RaplNode):
     Subscribes ``camera/image_raw`` (sensor_msgs/Image) of world 0 and ``env_<i>/camera/image_raw``
     of the others, ``world_info``. Publishes ``embedding`` (rapl_msgs/Embedding), ``experts``
     (rapl_msgs/ExpertSet, latched) and then ``encoder_info`` (rapl_msgs/EncoderInfo, latched).
+    Serves ``~/embed_episodes`` (rapl_msgs/EmbedEpisodes).
 
     Set the parameter ``encoder`` to swap: the callback loads, checks and embeds the experts (it
     may take seconds and is the one that may), then the worker goes over between two pictures. A
@@ -120,14 +122,21 @@ class EncoderNode(RaplNode):
         self.subscribe_to(wire_msg.WorldInfo, topics.WORLD_INFO, self._on_world, qos.latched())
         self.add_on_set_parameters_callback(self._on_set)
         self.add_post_set_parameters_callback(self._after_set)
+        self._turn = threading.Lock()
+        self._again = EmbeddingAgain(self, self.config.run_folder, self._encoder, self._turn)
         self._thread = threading.Thread(target=self._work, name="embedding", daemon=True)
         self._take_up_first()
         self._thread.start()
 
     def close(self) -> None:
-        """End the worker."""
+        """End the workers."""
         self._queue.close()
+        self._again.close()
         self._thread.join(2.0)
+
+    def _encoder(self) -> Encoder | None:
+        at_work = self._at_work
+        return at_work and at_work.encoder
 
     # Swapping
 
@@ -239,7 +248,7 @@ class EncoderNode(RaplNode):
         info = at_work.encoder.info
         keys = [picture.key for picture in pictures]
         try:
-            with self.diagnostics.shares.of("encoding"):
+            with self._turn, self.diagnostics.shares.of("encoding"):
                 frames = np.stack([picture.frame for picture in pictures])  # (N, H, W, 3)
                 values = at_work.encoder.embed(frames, batch_size=len(frames))  # (N, D)
         except (RaplError, RuntimeError) as error:

@@ -21,9 +21,10 @@ from rapl_core.policies import SacConfig, SacTrainer, ScheduleConfig
 from rapl_ros import conversions, qos, topics
 from rapl_ros.background import wakeable_future
 from rapl_ros.diagnostics import BAD_INPUT_S
-from rapl_ros.learner_session import LearnerSession, fresh_or_refuse
+from rapl_ros.learner_session import AfterSwap, LearnerSession, fresh_or_refuse
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
+from rapl_ros.relabelling import RelabellingPort
 from rapl_ros.rounds import RoundLostError, RoundsStoppedError
 from rapl_ros.session_rounds import SessionRounds, Tallies
 from rapl_ros.waiting import Waiting
@@ -47,6 +48,13 @@ class LearnerConfig:
     reward_deadline_s: float = field(default=15.0, metadata={"minimum": 1.0, "maximum": 3600.0})
     """Seconds of wall time in which the reward of an episode must come while ot_reward lives;
     then the episode is dropped."""
+    after_swap: AfterSwap = "empty"
+    """What becomes of the replay buffer when rewards come from another encoder. empty: it is
+    emptied. relabel: no round begins until what it holds was rewarded again, for which its
+    episodes must have been recorded."""
+    relabel_deadline_s: float = field(default=120.0, metadata={"minimum": 1.0, "maximum": 3600.0})
+    """Seconds of wall time without any new reward after which episodes that still lack theirs are
+    dropped (relabel)."""
     threads: int = field(default=1, metadata={"minimum": 1, "maximum": 64})
     """Threads of torch; for networks of this size one is the fastest."""
 
@@ -57,13 +65,14 @@ class LearnerNode(RaplNode):
     Subscribes ``state``, ``reward``, ``world_info``. Publishes ``action``, ``metrics``
     (rapl_msgs/Metrics), ``policy_info`` (rapl_msgs/PolicyInfo, latched). Serves ``~/train``
     (rapl_msgs/Train) and ``~/evaluate`` (rapl_msgs/Evaluate), one goal of both at a time, and
-    ``~/save`` (std_srvs/Trigger). Calls ``simulator/reset``.
+    ``~/save`` (std_srvs/Trigger). Calls ``simulator/reset`` and ``ot_reward/reward_again``.
 
     A round begins only when simulator and ot_reward are there and rewards keep up. Gradient steps
     run on a thread of their own; the callback that ends a block of steps waits for those of the
     block before, normally not at all and never longer than one block takes.
 
-    After an encoder swap the replay buffer is emptied, for its rewards mean something else.
+    After an encoder swap the replay buffer is emptied, for its rewards mean something else, or its
+    episodes are rewarded again (``after_swap``).
     """
 
     def __init__(self, **options: Any) -> None:
@@ -83,7 +92,8 @@ class LearnerNode(RaplNode):
         self._metrics = self.publish_to(wire_msg.Metrics, topics.METRICS, qos.event())
         self._policies = self.publish_to(wire_msg.PolicyInfo, topics.POLICY_INFO, qos.latched())
         self._waiting = Waiting(self, self._is_cancelled)
-        self._rounds = SessionRounds(self, self._waiting, self.config.seed)
+        again = RelabellingPort(self, self._waiting, self.config.relabel_deadline_s)
+        self._rounds = SessionRounds(self, self._waiting, again, self.config.seed)
         self.subscribe_to(wire_msg.Reward, topics.REWARD, self._on_reward, qos.event())
         self.subscribe_to(wire_msg.WorldInfo, topics.WORLD_INFO, self._on_world, qos.latched())
         # Its callback waits for the round to end; in the node's own group it would stop all others.
@@ -215,7 +225,12 @@ class LearnerNode(RaplNode):
         assert self._world is not None
         schedule = replace(self._schedule, steps=steps, worlds=self._world.worlds)
         return LearnerSession(
-            self._world, self._sac, schedule, self.config.seed, self.config.run_folder
+            self._world,
+            self._sac,
+            schedule,
+            self.config.seed,
+            self.config.run_folder,
+            self.config.after_swap,
         )
 
     def _replace_session(self, session: LearnerSession) -> None:
@@ -336,7 +351,8 @@ class LearnerNode(RaplNode):
         if session.swaps > self._swaps:
             self._swaps = session.swaps
             source = session.learning.reward_source
-            self.get_logger().warning(f"rewards now come from {source}: replay buffer emptied")
+            what = {"empty": "emptied", "relabel": "rewarded again"}[self.config.after_swap]
+            self.get_logger().warning(f"rewards now come from {source}: replay buffer {what}")
         self._waiting.wake()
 
     def peer_found(self, peer: str, restarted: bool) -> None:

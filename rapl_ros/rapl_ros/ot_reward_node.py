@@ -1,7 +1,8 @@
 """The node ``ot_reward``: one reward for every episode that began.
 
 Subscribes ``state``, ``embedding``, ``encoder_info`` (latched), ``experts`` (latched).
-Publishes ``reward`` (rapl_msgs/Reward).
+Publishes ``reward`` (rapl_msgs/Reward). Serves ``~/reward_again`` (rapl_msgs/RewardAgain); calls
+``encoder/embed_episodes``.
 Parameters: ``source`` (embedding | human_reward), ``human_reward_scale``, the two deadlines.
 """
 
@@ -18,6 +19,7 @@ from rapl_ros import conversions, qos, topics
 from rapl_ros.diagnostics import BAD_INPUT_S
 from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import declare_config
+from rapl_ros.rewarding_again import RewardingAgain
 from rapl_ros.wire import EpisodeReward, Instant
 
 CHECK_PERIOD_S = 0.2
@@ -44,6 +46,7 @@ class OtRewardNode(RaplNode):
                 wire_msg.EncoderInfo, topics.ENCODER_INFO, self._on_encoder, qos.latched()
             )
             self.subscribe_to(wire_msg.ExpertSet, topics.EXPERTS, self._on_experts, qos.latched())
+        RewardingAgain(self, self._desk)
         self.steady_timer(CHECK_PERIOD_S, self._on_check)
         self._say_what_is_missing()
 

@@ -8,6 +8,7 @@ from rapl_ros.calls import CallError
 from rapl_ros.learner_session import LearnerSession
 from rapl_ros.node import RaplNode
 from rapl_ros.players import EpisodeTally, EvaluationPlayer
+from rapl_ros.relabelling import RelabellingPort
 from rapl_ros.rounds import RoundLostError, Rounds
 from rapl_ros.waiting import FOR_REWARDS, Waiting
 
@@ -19,11 +20,13 @@ class SessionRounds:
     """Plays what a session needs next.
 
     :param node: its heartbeat says what goes on, its diagnostics count lost rounds.
+    :param again: has rewards renewed after a swap.
     :param seed: of the starts of training.
     """
 
-    def __init__(self, node: RaplNode, waiting: Waiting, seed: int) -> None:
+    def __init__(self, node: RaplNode, waiting: Waiting, again: RelabellingPort, seed: int) -> None:
         self._node, self._waiting, self._seed = node, waiting, seed
+        self._again = again
         self._rounds = Rounds(node)
 
     def abandon(self, error: RoundLostError) -> None:
@@ -36,6 +39,9 @@ class SessionRounds:
         :raises RoundsStoppedError: if the goal is cancelled before it begins.
         """
         await self._waiting.until_ready(lambda: session.may_begin)
+        while session.needs_relabelling:
+            await self._again.relabel(session)
+            await self._waiting.until_ready(lambda: session.may_begin)
         schedule = session.learning.schedule
         player = session.begin_round()
         what = f"{schedule.steps} of {schedule.config.steps} steps"

@@ -38,6 +38,8 @@ DIAGNOSTICS: Final = "/diagnostics"
 
 # Services and actions, private to the node that serves them
 RESET: Final = "~/reset"
+EMBED_EPISODES: Final = "~/embed_episodes"
+REWARD_AGAIN: Final = "~/reward_again"
 SAVE: Final = "~/save"
 GET_QUERY: Final = "~/get_query"
 SUBMIT_RANKING: Final = "~/submit_ranking"

@@ -1,5 +1,6 @@
 """What travels between nodes and has no type in rapl_core: frozen, validated, free of ROS."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -7,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rapl_core.errors import ShapeError
-from rapl_core.types import check_episode_id
+from rapl_core.types import EmbeddedEpisode, RewardTrace, check_episode_id
 
 
 class JoinKey(NamedTuple):
@@ -112,6 +113,28 @@ class EpisodeRecord:
     human_return: float | None = None
     """None where the truth is unknown."""
     success: bool | None = None
+
+
+@dataclass(frozen=True)
+class EmbeddingsAgain:
+    """Recorded episodes through the encoder at work (EmbedEpisodes.srv)."""
+
+    encoder: str
+    version: str
+    episodes: tuple[tuple[EpisodeRecord, EmbeddedEpisode], ...]
+    missing: Mapping[str, str]
+    """Why it could not be embedded, by episode id."""
+
+
+@dataclass(frozen=True)
+class RewardsAgain:
+    """Rewards of recorded episodes by the encoder at work (RewardAgain.srv)."""
+
+    encoder: str
+    version: str
+    rewards: tuple[tuple[EpisodeReward, RewardTrace], ...]
+    missing: Mapping[str, str]
+    """Why it could not be rewarded, by episode id."""
 
 
 @dataclass(frozen=True)

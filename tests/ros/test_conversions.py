@@ -208,7 +208,7 @@ def test_experts_survive_and_a_wrong_number_of_values_is_refused(rng):
     assert [expert.episode_id for expert in back.experts] == ["a", "b"]
     np.testing.assert_array_equal(back.experts[1].values, -values)
     msg.experts[1].frames = 5
-    with pytest.raises(ShapeError, match=r"expert b has 12 values.*5 \* 3"):
+    with pytest.raises(ShapeError, match=r"video b has 12 values.*5 \* 3"):
         conversions.experts_from_ros(msg)
 
 

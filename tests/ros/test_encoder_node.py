@@ -9,6 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from PIL import Image as PillowImage
 from rapl_msgs import msg as wire_msg
+from rapl_msgs.srv import EmbedEpisodes
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
@@ -195,6 +196,31 @@ def test_experts_are_the_most_preferred_videos_by_the_rankings_alone(
     )
     rule = conversions.reward_rule_from_ros(camera.infos[-1])
     assert rule.transport == reference.transport
+
+
+def test_recorded_episodes_are_embedded_as_live_pictures_are(
+    camera: Camera, reference: Encoder, run_folder: Path
+) -> None:
+    ids = ["video-2", "video-9", "video-0"]
+    name = topics.of_node(topics.EMBED_EPISODES, topics.ENCODER)
+    before = len(list((run_folder / "features").rglob("*.safetensors")))
+    for _ in range(2):  # the second time from the features on disk
+        request = EmbedEpisodes.Request(episode_ids=ids)
+        response = camera.probe.call(EmbedEpisodes, name, request, START_S)
+        assert response.success, response.message
+        again = conversions.embeddings_again_from_ros(response)
+        assert (again.encoder, again.version) == ("imagenet", reference.info.version)
+        assert again.missing == {"video-9": "not recorded"}
+        assert [record.episode_id for record, _ in again.episodes] == ["video-2", "video-0"]
+        for record, embedded in again.episodes:
+            frames = EpisodeStore(run_folder / "episodes").frames(record.episode_id)
+            expected = reference.embed(frames[1:])
+            np.testing.assert_allclose(embedded.values, expected, rtol=1e-3, atol=1e-4)
+            assert (record.steps, record.key.stamp_ns, record.purpose) == (4, 5, "demonstrate")
+    assert len(list((run_folder / "features").rglob("*.safetensors"))) == before + 2
+    request = EmbedEpisodes.Request(episode_ids=[f"e{i}" for i in range(65)])
+    response = camera.probe.call(EmbedEpisodes, name, request)
+    assert not response.success and "expected 64 at most" in response.message
 
 
 def test_grey_and_bgr_pictures_are_accepted(camera: Camera, reference: Encoder) -> None:

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs import msg as wire_msg
+from rapl_msgs.srv import EmbedEpisodes, RewardAgain
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
 
 from rapl_core.streaming.reward_rule import RewardRule
 from rapl_core.transport import TransportConfig, ot_reward
 from rapl_core.types import EmbeddedEpisode, EncoderInfo, ExpertSet
 from rapl_ros import conversions, qos, topics
-from rapl_ros.wire import EmbeddedFrame, Instant, JoinKey
+from rapl_ros.wire import EmbeddedFrame, EmbeddingsAgain, EpisodeRecord, Instant, JoinKey
 
 pytestmark = pytest.mark.ros
 
@@ -235,6 +236,57 @@ def test_a_bad_description_of_an_encoder_stands_until_a_good_one_comes(robot: Ro
     robot.probe.until(
         lambda: "bad encoder_info" not in robot.probe.status_of(topics.OT_REWARD), 5.0, "the end"
     )
+
+
+def reward_again(robot: Robot, ids: list[str]) -> RewardAgain.Response:
+    name = topics.of_node(topics.REWARD_AGAIN, topics.OT_REWARD)
+    return robot.probe.call(RewardAgain, name, RewardAgain.Request(episode_ids=ids), 20.0)
+
+
+def test_recorded_episodes_are_rewarded_again_by_the_rule_of_the_version_at_work(
+    robot: Robot,
+) -> None:
+    """The probe answers in the encoder's place."""
+    version = "aaaa"
+    z = {name: embeddings(seed)[1:] for name, seed in (("old-1", 21), ("old-2", 22))}
+
+    def record(name: str) -> EpisodeRecord:
+        key = JoinKey(topics.world_frame(1), 77)
+        return EpisodeRecord(key, name, "franka_group", 1, "train", "learner", "sac", HORIZON, "")
+
+    def embed(
+        request: EmbedEpisodes.Request, response: EmbedEpisodes.Response
+    ) -> EmbedEpisodes.Response:
+        known = [name for name in request.episode_ids if name in z]
+        missing = {name: "not recorded" for name in request.episode_ids if name not in z}
+        episodes = tuple((record(name), EmbeddedEpisode(name, z[name])) for name in known)
+        again = EmbeddingsAgain("rapl", version, episodes, missing)
+        conversions.fill_embed_episodes(response, again)
+        return response
+
+    name = topics.of_node(topics.EMBED_EPISODES, topics.ENCODER)
+    service = robot.probe.node.create_service(EmbedEpisodes, name, embed)
+    try:
+        published = len(robot.rewards)
+        response = reward_again(robot, ["old-2", "gone", "old-1"])
+        assert response.success, response.message
+        again = conversions.rewards_again_from_ros(response)
+        assert (again.encoder, again.version) == ("rapl", "aaaa")
+        assert again.missing == {"gone": "not recorded"}
+        assert [whose.episode_id for whose, _ in again.rewards] == ["old-2", "old-1"]
+        for whose, trace in again.rewards:
+            expected = ot_reward(
+                z[whose.episode_id], experts("aaaa").experts, RULE.transport, RULE.scale
+            )
+            np.testing.assert_allclose(trace.values, expected.values, rtol=1e-6)
+            assert (whose.key.stamp_ns, whose.world, whose.purpose) == (77, 1, "train")
+        version = "eeee"
+        refused = reward_again(robot, ["old-1"])
+        assert not refused.success and "version eeee is not known" in refused.message
+        robot.probe.spin_for(0.3)
+        assert len(robot.rewards) == published, "the topic keeps one reward an episode"
+    finally:
+        robot.probe.node.destroy_service(service)
 
 
 def test_it_says_that_the_encoder_is_missing(robot: Robot) -> None:

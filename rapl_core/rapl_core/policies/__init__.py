@@ -9,7 +9,7 @@ from rapl_core.policies.evaluation import EpisodeOutcome, Evaluation, summarise_
 from rapl_core.policies.learning import Learning
 from rapl_core.policies.learning_curve import CurvePoint, LearningCurve
 from rapl_core.policies.metrics_log import MetricsLog
-from rapl_core.policies.relabelling import RewardLabels, Relabelling
+from rapl_core.policies.relabelling import Relabelling, RewardLabels
 from rapl_core.policies.rewards import (
     EncoderReward,
     EpisodeReward,

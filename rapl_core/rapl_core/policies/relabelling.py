@@ -62,21 +62,21 @@ class Relabelling:
 
     def take(
         self,
-        source: RewardSource,
+        source: RewardSource | None,
         rewards: Mapping[str, NDArray[np.float64]],
         missing: Mapping[str, str],
     ) -> None:
         """Take the answer to :meth:`next`.
 
-        :param source: of these rewards.
+        :param source: of these rewards; None where there are none.
         :param rewards: (T,) by episode id.
         :param missing: why there is none, by episode id.
         """
         asked, self._asked = self._asked, ()
-        if self.source not in (None, source):
+        if source is not None and self.source not in (None, source):
             self._open.extend(self.rewards)
             self.rewards = {}
-        self.source = source
+        self.source = source or self.source
         for episode_id in asked:
             self._open.remove(episode_id)
             problem = self._problem(episode_id, rewards.get(episode_id))
@@ -152,7 +152,10 @@ class RewardLabels:
         if not relabelling.is_done:
             raise RaplError("there are episodes that are neither rewarded again nor lost")
         learning = self._learning
-        done = {**dict.fromkeys(relabelling.rewards, True), **dict.fromkeys(relabelling.lost, False)}
+        done = {
+            **dict.fromkeys(relabelling.rewards, True),
+            **dict.fromkeys(relabelling.lost, False),
+        }
         held = learning.trainer.replay.lengths()
         if done.keys() & held.keys():
             learning.relabel({n: r for n, r in relabelling.rewards.items() if n in held})

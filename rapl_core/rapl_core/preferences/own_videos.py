@@ -9,6 +9,7 @@ import numpy as np
 
 from rapl_core.errors import CorruptFileError, RankingError
 from rapl_core.preferences.queries import sets_of
+from rapl_core.types import Ranking
 
 OWN = "own"
 """Strategy of queries about the learner's own videos."""
@@ -118,6 +119,16 @@ class OwnQueries:
             if frozenset(query) not in past:
                 return tuple(query[int(i)] for i in self._rng.permutation(self._size))
         raise RankingError(f"no query: nearly all about the {len(new)} new videos were asked")
+
+
+def videos_to_learn_from(pool: Iterable[str], rankings: Iterable[Ranking]) -> list[str]:
+    """The pool, and of all other videos those that were ranked, in the order of their rankings.
+
+    The learner records a thousand videos and people rank some hundred of them; the features of the
+    others would be read for nothing.
+    """
+    ranked = (name for ranking in rankings if ranking.ranks for name in ranking.episode_ids)
+    return list(dict.fromkeys([*pool, *ranked]))
 
 
 def _read(file: Path) -> int:

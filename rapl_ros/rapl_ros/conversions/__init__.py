@@ -5,7 +5,15 @@ cast here. Sequences go out as ``array.array``, which is microseconds where a nu
 of seconds. What comes in is validated and refused with a RaplError.
 """
 
+from rapl_ros.conversions.again import (
+    embeddings_again_from_ros,
+    fill_embed_episodes,
+    fill_reward_again,
+    rewards_again_from_ros,
+)
 from rapl_ros.conversions.encoders import (
+    embedded_episode_from_ros,
+    embedded_episode_to_ros,
     embedding_from_ros,
     embedding_to_ros,
     encoder_info_from_ros,
@@ -79,8 +87,11 @@ __all__ = [
     "camera_info_to_ros",
     "compressed_image_from_ros",
     "counts_to_ros",
+    "embedded_episode_from_ros",
+    "embedded_episode_to_ros",
     "embedding_from_ros",
     "embedding_to_ros",
+    "embeddings_again_from_ros",
     "encoder_info_from_ros",
     "encoder_info_to_ros",
     "episode_record_from_ros",
@@ -89,7 +100,9 @@ __all__ = [
     "experts_to_ros",
     "failed_embedding_to_ros",
     "fill_align_result",
+    "fill_embed_episodes",
     "fill_progress",
+    "fill_reward_again",
     "floats_to_ros",
     "header_to_ros",
     "image_from_ros",
@@ -109,6 +122,7 @@ __all__ = [
     "reward_from_ros",
     "reward_rule_from_ros",
     "reward_to_ros",
+    "rewards_again_from_ros",
     "singles_to_ros",
     "state_from_ros",
     "state_to_ros",

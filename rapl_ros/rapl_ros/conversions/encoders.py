@@ -109,15 +109,7 @@ def experts_to_ros(experts: ExpertSet, stamp_ns: int) -> wire_msg.ExpertSet:
         header=Header(stamp=time_to_ros(stamp_ns)),
         encoder=experts.encoder,
         version=experts.version,
-        experts=[
-            wire_msg.EmbeddedEpisode(
-                episode_id=expert.episode_id,
-                frames=int(expert.values.shape[0]),
-                dimension=int(expert.values.shape[1]),
-                values=singles_to_ros(expert.values),
-            )
-            for expert in experts.experts
-        ],
+        experts=[embedded_episode_to_ros(expert) for expert in experts.experts],
     )
 
 
@@ -126,14 +118,30 @@ def experts_from_ros(msg: wire_msg.ExpertSet) -> ExpertSet:
 
     :raises ShapeError: if an expert's values are not frames x dimension, or not finite.
     """
-    experts = []
-    for expert in msg.experts:
-        expected = expert.frames * expert.dimension
-        if len(expert.values) != expected or expected == 0:
-            raise ShapeError(
-                f"expert {expert.episode_id} has {len(expert.values)} values, expected "
-                f"frames * dimension = {expert.frames} * {expert.dimension}"
-            )
-        values = np.array(expert.values, np.float32).reshape(expert.frames, expert.dimension)
-        experts.append(EmbeddedEpisode(expert.episode_id, values))
-    return ExpertSet(msg.encoder, msg.version, tuple(experts))
+    experts = tuple(embedded_episode_from_ros(expert) for expert in msg.experts)
+    return ExpertSet(msg.encoder, msg.version, experts)
+
+
+def embedded_episode_to_ros(episode: EmbeddedEpisode) -> wire_msg.EmbeddedEpisode:
+    """EmbeddedEpisode to its message."""
+    return wire_msg.EmbeddedEpisode(
+        episode_id=episode.episode_id,
+        frames=int(episode.values.shape[0]),
+        dimension=int(episode.values.shape[1]),
+        values=singles_to_ros(episode.values),
+    )
+
+
+def embedded_episode_from_ros(msg: wire_msg.EmbeddedEpisode) -> EmbeddedEpisode:
+    """EmbeddedEpisode message to rapl_core's.
+
+    :raises ShapeError: if its values are not frames x dimension, or not finite.
+    """
+    expected = msg.frames * msg.dimension
+    if len(msg.values) != expected or expected == 0:
+        raise ShapeError(
+            f"video {msg.episode_id} has {len(msg.values)} values, expected "
+            f"frames * dimension = {msg.frames} * {msg.dimension}"
+        )
+    values = np.array(msg.values, np.float32).reshape(msg.frames, msg.dimension)
+    return EmbeddedEpisode(msg.episode_id, values)

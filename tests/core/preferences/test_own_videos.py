@@ -8,7 +8,7 @@ import pytest
 from rapl_core.errors import CorruptFileError, RankingError
 from rapl_core.preferences import DeskConfig, QueryDesk, QueryRequest, RankingStore
 from rapl_core.preferences.expert_set import strengths
-from rapl_core.preferences.own_videos import OwnQueries, OwnVideos
+from rapl_core.preferences.own_videos import OwnQueries, OwnVideos, videos_to_learn_from
 from rapl_core.types import Ranking
 
 EXPERTS = ("expert-0", "expert-1")
@@ -94,3 +94,13 @@ def test_one_person_ranks_own_queries_and_all_strengths_are_connected(tmp_path: 
     found = strengths(store.effective())
     assert found["expert-0"] > found["train-0"] > found["train-5"]
     store.close()
+
+
+def test_features_are_read_of_the_pool_and_of_those_others_that_were_ranked() -> None:
+    rankings = [
+        Ranking("a", "ann", ("train-7", "train-3", "video-1"), (1, 2, 3)),
+        Ranking("b", "ann", ("train-3", "train-9"), (), "skipped"),
+    ]
+    assert videos_to_learn_from(["video-0", "video-1"], rankings) == [
+        "video-0", "video-1", "train-7", "train-3",
+    ]  # fmt: skip
