@@ -19,7 +19,8 @@ from rapl_ros.parameters import declare_config
 from rapl_ros.progress import ProgressMeter, StageProgress
 from rapl_ros.run_config import RunConfig, load_config
 from rapl_ros.run_lock import RunLock
-from rapl_ros.stages import STAGES, Stage, StageContext
+from rapl_ros.stage_context import StageContext
+from rapl_ros.stages import STAGES, Stage
 from rapl_ros.supervisor import UNFINISHED
 
 ATTEMPTS = 4
@@ -47,10 +48,10 @@ class ConductorNode(RaplNode):
     """Runs the stages in order and goes on where an earlier process stopped.
 
     Publishes ``progress`` (rapl_msgs/Progress). Calls ``demonstrator/collect``,
-    ``preference/get_progress``, ``preference/align``,
-    ``encoder/set_parameters``, ``simulated_human/set_parameters``, ``learner/train`` and
-    ``learner/evaluate``. The process ends with 0 after the last stage, with 1 when a stage fails
-    for good, and as if killed when a signal ends it before.
+    ``preference/get_progress``, ``preference/align``, ``learner/train`` and ``learner/evaluate``,
+    and sets parameters of ``encoder``, ``simulated_human`` and ``preference``. The process ends
+    with 0 after the last stage, with 1 when a stage fails for good, and as if killed when a signal
+    ends it before.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -14,7 +14,7 @@ from rapl_core.tasks import get_task
 from rapl_ros.run_config import RunConfig
 from rapl_ros.supervisor import ProcessSpec
 
-ParameterValue = bool | int | float | str
+ParameterValue = bool | int | float | str | list[str]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ NODES: tuple[NodeEntry, ...] = (
     NodeEntry("simulator", "rapl_ros.simulator_node", ("task", "worlds", "clock_file")),
     NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder", "weights"), imports_torch=True),
     NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source", "human_reward_scale")),
-    NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder",), stops_last=True),
+    NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder", "purposes"), stops_last=True),
     NodeEntry(
         "preference",
         "rapl_ros.preference_node",
@@ -80,6 +80,7 @@ NODES: tuple[NodeEntry, ...] = (
             "run_folder",
             "seed",
             "reward_deadline_s",
+            "after_swap",
             "schedule.random_steps",
             "schedule.checkpoint_every",
             "schedule.evaluate_every",
@@ -95,6 +96,10 @@ NODES: tuple[NodeEntry, ...] = (
     ),
     NodeEntry("conductor", "rapl_ros.conductor_node", ("run_folder",), ends=True),
 )
+
+
+RECORDED = ["demonstrate", "test", "evaluate"]
+"""Purposes of the episodes that are recorded; the learner's own only where they are asked about."""
 
 
 def entries_of(config: RunConfig, web: bool = False) -> list[NodeEntry]:
@@ -140,6 +145,8 @@ def run_parameters(
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",
         # Longer than ot_reward waits for an encoder that has fallen behind.
         "reward_deadline_s": 60.0,
+        "purposes": [*RECORDED, "train"] if config.online else RECORDED,
+        "after_swap": "relabel" if config.online else "empty",
         "schedule.random_steps": config.random_steps,
         "schedule.checkpoint_every": config.checkpoint_every,
         "schedule.evaluate_every": config.evaluate_every,
@@ -183,7 +190,9 @@ def ros_arguments(parameters: Mapping[str, ParameterValue]) -> tuple[str, ...]:
     words = ["--ros-args"]
     for name, value in parameters.items():
         # YAML, as ROS reads it: a task called ``true`` stays a string.
-        text = yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None)
+        quoted = '"' if isinstance(value, str) else None
+        flow = True if isinstance(value, list) else None
+        text = yaml.safe_dump(value, default_style=quoted, default_flow_style=flow)
         words += ["-p", f"{name}:={text.removesuffix(chr(10)).removesuffix('...').strip()}"]
     return tuple(words)
 

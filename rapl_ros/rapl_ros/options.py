@@ -42,6 +42,7 @@ WEB_HOST = "127.0.0.1"
 QUICK = {
     "pool_episodes": 60,
     "triplets": 40,
+    "online_triplets": 10,
     "steps": 3_000,
     "random_steps": 500,
     "checkpoint_every": 1_000,
@@ -135,6 +136,18 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         type=_whole(*RANGES["triplets"]),
         metavar="N",
         help=f"rankings of three videos ({default.triplets})",
+    )
+    parser.add_argument(
+        "--online",
+        type=_whole(0, 50),
+        metavar="N",
+        help="alignments while the robot learns, from rankings of its own videos too (0)",
+    )
+    parser.add_argument(
+        "--online-triplets",
+        type=_whole(1),
+        metavar="N",
+        help=f"further rankings for each of them ({default.online_triplets})",
     )
     parser.add_argument(
         "--episodes",
@@ -282,7 +295,8 @@ def _given(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _run_name(config: RunConfig) -> str:
     preset = f"-{config.preset}" if config.aligns else ""
-    return f"{config.reward}{preset}-seed{config.seed}{'-quick' if config.quick else ''}"
+    online = f"-online{config.online}" if config.online else ""
+    return f"{config.reward}{preset}{online}-seed{config.seed}{'-quick' if config.quick else ''}"
 
 
 def _free_folder(folder: Path) -> Path:

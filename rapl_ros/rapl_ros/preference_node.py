@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
 from rapl_msgs.action import Align
 from rapl_msgs.msg import EpisodeInfo
 from rapl_msgs.srv import GetProgress, GetQuery, ListRankings, SubmitRanking, Undo
@@ -22,8 +23,10 @@ from rapl_core.preferences import (
     QueryRequest,
     QuerySelector,
     RankingStore,
+    expert_set,
 )
 from rapl_core.preferences.agreement import AgreementTable, agreement_table
+from rapl_core.preferences.own_videos import OWN, OWN_VIDEOS_FILE, OwnQueries, OwnVideos
 from rapl_core.preferences.people import PeopleConfig
 from rapl_core.preferences.progress import RankingProgress, measure_progress, needed
 from rapl_core.preferences.strategies import STRATEGIES
@@ -38,6 +41,8 @@ from rapl_ros.strategist import Strategist
 LIST_LIMIT = 100
 AGREEMENT_KEPT_S = 2.0
 """For so long agreement may be that of before the newest answers."""
+OWN_STREAM = 403
+"""Of the seed, for queries about the learner's own videos."""
 WRITABLE = (
     "rankings_wanted", "strategy", "repeat_share", "shared_share",
     "noise", "smoothing_rate", "groups",
@@ -57,14 +62,17 @@ class PreferenceConfig(DeskConfig, PeopleConfig):
     rankings_wanted: int = field(default=0, metadata={"minimum": 0})
     """Rankings wanted in all, for the figures of progress; 0: no number. May change at run time."""
     strategy: Literal[
-        "uniform", "contest", "uncertainty", "information", "coverage", "transport"
+        "uniform", "contest", "uncertainty", "information", "coverage", "transport", "own"
     ] = "uniform"
     """Which videos to ask about next; uniform: at random, as the paper; contest: in the end the
-    strongest among themselves, needs rankings_wanted. May change at run time."""
+    strongest among themselves, needs rankings_wanted; own: the learner's newest, each two beside an
+    expert video. May change at run time."""
     preset: str = "tuned"
     """Whose features strategies other than uniform look at."""
     purposes: tuple[str, ...] = ("demonstrate",)
     """Purposes of the episodes that are the pool of videos."""
+    own_purpose: str = "train"
+    """Purpose of the episodes that are the learner's own videos."""
     experts: int = field(default=10, metadata={"minimum": 1, "maximum": 1000})
     """Videos in the expert set, the most preferred by the rankings alone."""
     precision: Literal["float32", "bfloat16"] = "bfloat16"
@@ -106,11 +114,11 @@ class PreferenceNode(RaplNode):
         folder = self.config.run_folder
         self._episodes = EpisodeStore(folder / "episodes")
         self._store = RankingStore(folder / "rankings.sqlite", self._episodes.__contains__)
-        self._pool = {
-            summary.episode_id
-            for summary in self._episodes.summaries()
-            if summary.purpose in self.config.purposes
-        }
+        self._pool: set[str] = set()
+        self._own = OwnVideos(folder / OWN_VIDEOS_FILE)
+        self._expert_ids: list[str] | None = None
+        for known in self._episodes.summaries():
+            self._take_in(known.episode_id, known.purpose, known.last_stamp_ns)
         self._strategist = Strategist(
             self._store,
             folder,
@@ -159,8 +167,8 @@ class PreferenceNode(RaplNode):
     # Queries and rankings
 
     def _on_episode(self, msg: EpisodeInfo) -> None:
+        self._take_in(msg.episode_id, msg.purpose, conversions.time_from_ros(msg.header.stamp))
         if msg.purpose in self.config.purposes:
-            self._pool.add(msg.episode_id)
             self._tell()
 
     def _on_unreadable(self, msg: String) -> None:
@@ -185,13 +193,20 @@ class PreferenceNode(RaplNode):
             self._take_out(gone, "their files are gone")
         return bool(gone)
 
+    def _take_in(self, episode_id: str, purpose: str, stamp_ns: int) -> None:
+        """A video is on disk."""
+        if purpose in self.config.purposes:
+            self._pool.add(episode_id)
+        elif purpose == self.config.own_purpose:
+            self._own.add(episode_id, stamp_ns)
+
     def _on_get_query(
         self, request: GetQuery.Request, response: GetQuery.Response
     ) -> GetQuery.Response:
         try:
             strategy = request.strategy or self.config.strategy
-            if strategy not in STRATEGIES:
-                raise UnknownNameError("query strategy", strategy, STRATEGIES)
+            if strategy not in (*STRATEGIES, OWN):
+                raise UnknownNameError("query strategy", strategy, (*STRATEGIES, OWN))
             wish = conversions.query_request_from_ros(request)
             query = self._next_query(wish, strategy)
         except RaplError as error:
@@ -203,11 +218,26 @@ class PreferenceNode(RaplNode):
     def _next_query(self, wish: QueryRequest, strategy: str) -> Query:
         desk, selector = QueryDesk(self._store, self.config), self._selector(strategy, wish.size)
         try:
-            return desk.next(wish, self._pool, selector)
+            return desk.next(wish, self._asked_about(strategy), selector)
         except RankingError:
             if not self._forget_missing():
                 raise
-        return desk.next(wish, self._pool, selector)
+        return desk.next(wish, self._asked_about(strategy), selector)
+
+    def _asked_about(self, strategy: str) -> set[str]:
+        return self._pool.union(self._own) if strategy == OWN else self._pool
+
+    def _own_queries(self, size: int) -> QuerySelector:
+        """Queries about the learner's new videos; the expert set is that of the last alignment."""
+        with self._store.reading() as ledger:
+            asked, rankings = ledger.queries, list(ledger.effective())
+        if self._expert_ids is None:
+            ranked = {name for ranking in rankings if ranking.ranks for name in ranking.episode_ids}
+            fewer = min(self.config.experts, len(ranked))
+            self._expert_ids = expert_set(rankings, fewer) if ranked else []
+        # The number of queries before is part of the seed: a restart goes on, not back.
+        rng = np.random.default_rng([self.config.seed, OWN_STREAM, asked])
+        return OwnQueries(rng, self._own.new(), self._expert_ids, size)
 
     def _on_submit(
         self, request: SubmitRanking.Request, response: SubmitRanking.Response
@@ -278,8 +308,10 @@ class PreferenceNode(RaplNode):
         return response
 
     def _selector(self, strategy: str, size: int = 0) -> QuerySelector | None:
-        wanted = self.config.rankings_wanted
-        return self._strategist.selector(strategy, size or self.config.query_size, wanted)
+        size = size or self.config.query_size
+        if strategy == OWN:
+            return self._own_queries(size)
+        return self._strategist.selector(strategy, size, self.config.rankings_wanted)
 
     def _progress(self) -> RankingProgress:
         """Agreement is over all pairs of all rankings: measured anew only after an answer, and not
@@ -319,12 +351,14 @@ class PreferenceNode(RaplNode):
         if self._worker is None:
             self._worker = Worker(self, "alignment", capacity=1)
         result = Align.Result(held_out_accuracy=float("nan"), mistakes=float("nan"))
-        began_s = time.monotonic()
+        began_s, newest_ns = time.monotonic(), self._own.newest_ns
         try:
             outcome = await self._worker.submit(lambda: self._work(goal))
             conversions.fill_align_result(result, outcome)
             result.message = f"{result.uri} in {time.monotonic() - began_s:.1f} s"
             self.get_logger().info(outcome.findings)
+            self._own.aligned(newest_ns)
+            self._expert_ids = None
             result.success = True
             goal.succeed()
         except AlignmentCancelledError as error:

@@ -76,15 +76,15 @@ class RelabellingPort:
         if not (peer.alive and self._client.service_is_ready()):
             raise CallError("ot_reward is not there")
         incarnation, began_s = peer.incarnation, time.monotonic()
+        deadline_s = min(CALL_S, self._deadline_s)
         future = self._client.call_async(RewardAgain.Request(episode_ids=list(episode_ids)))
         while not future.done():
             gone = not peer.alive or peer.incarnation != incarnation
-            late = time.monotonic() - began_s > min(CALL_S, self._deadline_s)
+            late = time.monotonic() - began_s > deadline_s
             if gone or late:
                 self._client.remove_pending_request(future)
-                raise CallError(
-                    "ot_reward died meanwhile" if gone else f"no answer within {CALL_S:g} s"
-                )
+                why = "died meanwhile" if gone else f"gave no answer within {deadline_s:g} s"
+                raise CallError(f"ot_reward {why}")
             self._waiting.check_cancelled()
             await pause(self._node, POLL_S)
         response = future.result()

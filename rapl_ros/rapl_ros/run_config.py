@@ -45,6 +45,11 @@ class RunConfig:
     tcc_iterations: int = 4_000
     masked_iterations: int = 1_500
     """Of mae_scratch and mvp_finetuned."""
+    online: int = 0
+    """Alignments while the robot learns, at evenly spaced steps, from rankings of its own videos
+    too."""
+    online_triplets: int = 50
+    """Further rankings for each of them."""
     steps: int = 60_000
     """World steps of learning, all worlds together."""
     random_steps: int = 2_000
@@ -85,6 +90,25 @@ class RunConfig:
     def asks_people(self) -> bool:
         """True when people give the rankings."""
         return self.human == "web"
+
+    @property
+    def online_steps(self) -> list[int]:
+        """World steps at which the alignments while learning begin."""
+        return [self.steps * k // (self.online + 1) for k in range(1, self.online + 1)]
+
+    def check_online(self) -> None:
+        """
+        :raises RaplError: if it is to align while the robot learns and more rankings would not
+            change the reward.
+        """
+        if not self.online or (self._lesson == "rankings" and self.reward_encoder == self.reward):
+            return
+        encoder = f" with encoder '{self.encoder}'" if self.encoder else ""
+        known = [name for name in method_names() if get_method(name).lesson == "rankings"]
+        raise RaplError(
+            f"--online aligns again from more rankings, and reward '{self.reward}'{encoder} "
+            f"learns nothing from them; rewards that do: {', '.join(known)}"
+        )
 
     @property
     def aligns(self) -> bool:

@@ -85,6 +85,7 @@ def checked(config: RunConfig, tasks: Sequence[str]) -> RunConfig:
         check_name(config.backbone, "backbone", backbone_names())
     if config.weights and not Path(config.weights).exists():
         raise RaplError(f"no weights at {config.weights}; give a file, or a folder of them")
+    config.check_online()
     check_name(config.query_strategy, "query strategy", STRATEGIES)
     check_name(config.noise, "treatment of noise", NOISES)
     persons_from(config.people), knobs_from(config.knobs)  # refused here rather than in a node

@@ -5,69 +5,23 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from rapl_msgs.action import Align, Collect, Evaluate, Train
-from rapl_msgs.srv import GetProgress
+from rapl_msgs.action import Collect, Evaluate, Train
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.tasks import get_task
-from rapl_ros import topics
-from rapl_ros.calls import CallError, call, pause
-from rapl_ros.goals import ActionPort, ParameterPort
-from rapl_ros.node import RaplNode
-from rapl_ros.progress import count_in
+from rapl_ros.calls import CallError, pause
+from rapl_ros.online import OnlineAlignments
 from rapl_ros.run_config import RunConfig
+from rapl_ros.stage_context import StageContext
+from rapl_ros.stage_steps import Result, align_and_swap, check, gather_rankings
 
-SWAP_DEADLINE_S = 900.0
-"""For an encoder to load and to embed its experts: seconds on a quiet machine, minutes on one with
-twenty processes a core. That it died meanwhile is noticed at once, by its heartbeat."""
-HUMAN_DEADLINE_S = 30.0
-"""For the simulated human to appear, or to answer."""
 DRAWN_NOISE = -1.0
 """Asks the demonstrator to draw each episode's noise."""
-
-Result = Mapping[str, Any]
-
-
-class ShowProgress(Protocol):
-    """Takes how far the stage under way is."""
-
-    def __call__(self, done: int, total: int, unit: str, detail: str = "") -> None: ...
-
-
-class StageContext:
-    """What the stages work with.
-
-    :param node: whose clients are used.
-    :param show: takes progress.
-    :param say: takes what is waited for; empty when the wait is over.
-    """
-
-    def __init__(
-        self,
-        node: RaplNode,
-        run: RunConfig,
-        folder: Path,
-        show: ShowProgress,
-        say: Callable[[str], None],
-    ) -> None:
-        def port(kind: type, name: str, peer: str) -> ActionPort:
-            return ActionPort(node, kind, topics.of_node(name, peer), peer, say)
-
-        self.node, self.run, self.folder, self.show, self.say = node, run, folder, show, say
-        self.collect = port(Collect, topics.COLLECT, topics.DEMONSTRATOR)
-        self.align = port(Align, topics.ALIGN, topics.PREFERENCE)
-        self.train = port(Train, topics.TRAIN, topics.LEARNER)
-        self.evaluate = port(Evaluate, topics.EVALUATE, topics.LEARNER)
-        self.progress = node.create_client(
-            GetProgress, topics.of_node(topics.GET_PROGRESS, topics.PREFERENCE)
-        )
-        self.encoder = ParameterPort(node, topics.ENCODER, say)
-        self.human = ParameterPort(node, topics.SIMULATED_HUMAN, say)
 
 
 @dataclass(frozen=True)
@@ -102,7 +56,7 @@ async def collect(context: StageContext) -> Result:
         result = await context.collect.run(
             goal, lambda feedback: context.show(have + feedback.done, wanted, "videos")
         )
-        _check(result, "collect")
+        check(result, "collect")
         dropped = result.dropped
     context.show(wanted, wanted, "videos")
     return {"videos": len(_pool(context.folder)), "dropped": dropped}
@@ -110,48 +64,7 @@ async def collect(context: StageContext) -> Result:
 
 async def rank(context: StageContext) -> Result:
     """Wait until the human, simulated or not, has given the rankings wanted."""
-    wanted = context.run.triplets
-    if context.run.asks_people:
-        return await _wait_for_people(context, wanted)
-    human = context.node.peers[topics.SIMULATED_HUMAN]
-    asked = ""
-    while True:
-        if human.incarnation != asked:  # a human that restarted has forgotten how many are wanted
-            await context.human.set("rankings", wanted, HUMAN_DEADLINE_S)
-            asked = human.incarnation
-        given = await _given(context)
-        lack = human.detail if human.status == "waiting" and "until" in human.detail else ""
-        context.show(min(given, wanted), wanted, "rankings", lack)
-        if given >= wanted:
-            return {"rankings": given}
-        await pause(context.node, 0.2)
-
-
-async def _wait_for_people(context: StageContext, wanted: int) -> Result:
-    """People take their time: only what counts is counted, and there is no deadline."""
-    while True:
-        given = await _given(context)
-        context.show(min(given, wanted), wanted, "rankings", "people rank on the page")
-        if given >= wanted:
-            return {"rankings": given}
-        await pause(context.node, 0.5)
-
-
-async def _given(context: StageContext) -> int:
-    """How many rankings count; a preference node that is busy or gone is waited for.
-
-    :raises CallError: if it answers that it cannot say.
-    """
-    while True:
-        try:
-            response = await call(context.node, context.progress, GetProgress.Request())
-        except CallError as error:
-            context.say(f"for {topics.PREFERENCE}: {error}")
-            await pause(context.node, 1.0)
-            continue
-        context.say("")
-        _check(response, "rank")
-        return int(response.given)
+    return {"rankings": await gather_rankings(context, context.run.triplets)}
 
 
 async def demonstrate(context: StageContext) -> Result:
@@ -178,68 +91,50 @@ async def demonstrate(context: StageContext) -> Result:
             goal,
             lambda feedback: context.show(have + feedback.done, run.demonstrations, "videos"),
         )
-        _check(result, "demonstrate")
+        check(result, "demonstrate")
     context.show(run.demonstrations, run.demonstrations, "videos")
     return {"demonstrations": _shown(context.folder, preferred)}
 
 
 async def align(context: StageContext) -> Result:
     """Train the encoder from the rankings and put it to work."""
-    run = context.run
-    preference = context.node.peers[topics.PREFERENCE]
-    epochs = 0
-
-    def show(feedback: Align.Feedback) -> None:
-        nonlocal epochs
-        epochs = feedback.epochs
-        accuracy = feedback.held_out_accuracy
-        known = f"held-out accuracy {accuracy:.0%}" if math.isfinite(accuracy) else ""
-        context.show(feedback.epoch, feedback.epochs, "epochs", known)
-
-    def show_reading() -> None:
-        # It reads the videos' features first, and says so on its heartbeat.
-        count = count_in(preference.detail)
-        if count and not epochs:
-            what, done, total, unit = count
-            context.show(done, total, unit, what)
-
-    goal = Align.Goal(encoder=run.reward, preset=run.preset, triplets=run.triplets, seed=run.seed)
-    result = await context.align.run(goal, show, on_wait=show_reading)
-    _check(result, "align")
-    await context.encoder.set("encoder", run.reward_encoder, SWAP_DEADLINE_S)
-    return {
-        "held_out_accuracy": float(result.held_out_accuracy),
-        "triplets": int(result.triplets),
-        "version": result.version,
-        "uri": result.uri,
-        "people": result.findings,
-    }
+    return await align_and_swap(context, context.run.triplets)
 
 
 async def train(context: StageContext) -> Result:
-    """Train the policy up to the wanted number of world steps."""
+    """Train the policy up to the wanted number of world steps; align again meanwhile, if asked."""
     wanted = context.run.steps
+    online = OnlineAlignments(context) if context.run.online else None
 
     def show(feedback: Train.Feedback) -> None:
         metrics = feedback.metrics
         success = metrics.success_rate
-        context.show(
-            min(metrics.steps, wanted),  # the last round of episodes goes beyond
-            wanted,
-            "steps",
-            f"success {success:.0%}" if math.isfinite(success) else "",
-        )
+        details = [f"success {success:.0%}"] if math.isfinite(success) else []
+        if online is not None:
+            online.steps = int(metrics.steps)
+            details += [online.detail] if online.detail else []
+        # The last round of episodes goes beyond.
+        context.show(min(metrics.steps, wanted), wanted, "steps", ", ".join(details))
 
-    result = await context.train.run(Train.Goal(steps=wanted, resume=True), show)
-    _check(result, "train")
+    if online is not None:
+        online.begin()
+    try:
+        result = await context.train.run(Train.Goal(steps=wanted, resume=True), show)
+    finally:
+        if online is not None:
+            await online.end()
+    check(result, "train")
     metrics = result.metrics
-    return {
+    found: dict[str, Any] = {
         "steps": int(metrics.steps),
         "updates": int(metrics.updates),
         "episodes": int(metrics.episodes),
         "dropped_episodes": int(metrics.dropped_episodes),
         "policy_id": result.policy_id,
     }
+    if online is not None:
+        found |= {"online_alignments": online.done, "online_problem": online.problem}
+    return found
 
 
 async def evaluate(context: StageContext) -> Result:
@@ -251,7 +146,7 @@ async def evaluate(context: StageContext) -> Result:
             feedback.done, wanted, "episodes", f"success {feedback.success_rate:.0%}"
         ),
     )
-    _check(result, "evaluate")
+    check(result, "evaluate")
     return {
         "success_rate": float(result.success_rate),
         "human_return_mean": float(result.human_return_mean),
@@ -348,8 +243,3 @@ def _accuracy_words(accuracy: float) -> str:
         if known
         else "nothing to learn from rankings"
     )
-
-
-def _check(result: Any, what: str) -> None:
-    if not result.success:
-        raise CallError(f"{what}: {result.message}")

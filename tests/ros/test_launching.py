@@ -21,7 +21,7 @@ from rapl_core.errors import RaplError
 from rapl_ros import qos, topics
 from rapl_ros.encoder_node import EncoderNodeConfig
 from rapl_ros.launching import ARGUMENTS, executable_of, plan
-from rapl_ros.node_table import KNOBS, NODES, parameters_of, run_parameters
+from rapl_ros.node_table import KNOBS, NODES, parameters_of, process_specs, run_parameters
 from rapl_ros.recorder_node import RecorderConfig
 from rapl_ros.run_config import RunConfig, load_config
 
@@ -54,6 +54,20 @@ def test_simulated_people_and_how_they_err_reach_their_node(tmp_path: Path) -> N
     assert given_to_it["people"] == "ann:task,ben:opposite"
     assert (given_to_it["beta"], given_to_it["skip"]) == (2.0, 0.1)
     assert not {"myopia", "mistakes"} & set(given_to_it)
+
+
+def test_the_learners_videos_are_recorded_where_it_is_aligned_again_meanwhile(
+    tmp_path: Path,
+) -> None:
+    def of(config: RunConfig) -> dict[str, list[str]]:
+        specs = process_specs(config, tmp_path)
+        return {spec.name: list(spec.arguments) for spec in specs}
+
+    online, offline = (of(RunConfig("franka_group", online=n)) for n in (2, 0))
+    assert "purposes:=[demonstrate, test, evaluate, train]" in online["recorder"]
+    assert "purposes:=[demonstrate, test, evaluate]" in offline["recorder"]
+    assert 'after_swap:="relabel"' in online["learner"]
+    assert 'after_swap:="empty"' in offline["learner"]
 
 
 def test_with_people_there_is_the_page_and_no_simulated_human(tmp_path: Path) -> None:

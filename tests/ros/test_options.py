@@ -43,6 +43,14 @@ def test_quick_is_small_and_its_parts_can_be_overridden(tmp_path: Path) -> None:
     assert config.pool_episodes < RunConfig("x").pool_episodes
 
 
+def test_alignments_while_the_robot_learns_come_at_even_steps(tmp_path: Path) -> None:
+    request = ask(tmp_path, "franka_group", "--online", "3", "--online-triplets", "20")
+    assert request.config.online_steps == [15_000, 30_000, 45_000]
+    assert request.config.online_triplets == 20
+    assert request.folder.name == "rapl-tuned-online3-seed0"
+    assert ask(tmp_path, "franka_group").config.online_steps == []
+
+
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
@@ -54,6 +62,15 @@ def test_quick_is_small_and_its_parts_can_be_overridden(tmp_path: Path) -> None:
         (["franka_group", "--steps", "many"], ["'many'", "whole number, 1 or more"]),
         (["franka_group", "--worlds", "99"], ["1 to 16"]),
         (["franka_group", "--stesp", "5"], ["--stesp", "known options", "--steps"]),
+        (
+            ["franka_group", "--online", "2", "--reward", "ground_truth"],
+            ["'ground_truth' learns nothing from them", "rewards that do: rapl, rlhf"],
+        ),
+        (["franka_group", "--online", "2", "--reward", "imagenet"], ["'imagenet' learns nothing"]),
+        (["franka_group", "--online", "1", "--reward", "tcc"], ["'tcc' learns nothing"]),
+        (["franka_group", "--online", "1", "--encoder", "imagenet"], ["with encoder 'imagenet'"]),
+        (["franka_group", "--online", "many"], ["'many'", "0 to 50"]),
+        (["franka_group", "--strategy", "own"], ["unknown query strategy 'own'", "uniform"]),
         (["--resume"], ["needs a run folder or a task"]),
         (["franka_group", "--resume"], ["no unfinished run of franka_group"]),
     ],

@@ -4,6 +4,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,13 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.preferences import RankingStore, triplets_from
 from rapl_core.representations import load_encoder
 from rapl_core.types import Episode
-from rapl_ros import qos, topics
+from rapl_ros import conversions, qos, topics
 from rapl_ros.preference_node import PreferenceNode
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -299,6 +300,49 @@ def test_align_writes_an_encoder_that_loads_and_tells_how_good_it_is(
     assert encoder.info.version == result.version and encoder.info.name == "rapl"
     assert len(encoder.expert_ids) == 10
     assert "video-11" in encoder.expert_ids and "video-00" not in encoder.expert_ids
+
+
+def test_own_queries_are_about_the_learners_new_videos_until_the_next_alignment(
+    person: Person, run: tuple[Path, dict[str, float]]
+) -> None:
+    folder, _ = run
+    probe, store = person.probe, EpisodeStore(folder / "episodes")
+    told = probe.node.create_publisher(wire_msg.EpisodeInfo, topics.EPISODE, qos.event())
+    probe.until(told.get_subscription_count, DISCOVERY_S, "preference listens")
+    few = person.ask(annotator="person", strategy="own")
+    assert not few.success and "the learner has recorded 0 of 2 new videos" in few.message
+    base = store.load("video-05")
+    for number in range(4):
+        frames = np.ascontiguousarray(base.frames[:, ::-1] + np.uint8(number))
+        stamps = np.arange(100, 100 + STEPS + 1) * (number + 1)
+        name = f"train-{number}"
+        store.add(replace(base, episode_id=name, purpose="train", frames=frames, stamps_ns=stamps))
+        stamp = conversions.time_to_ros(int(stamps[-1]))
+        told.publish(
+            wire_msg.EpisodeInfo(header=Header(stamp=stamp), episode_id=name, purpose="train")
+        )
+    probe.until(
+        lambda: person.ask(annotator="first", strategy="own").success, 20.0, "they are known"
+    )
+    ranked: set[str] = set()
+    while len(ranked) < 2:
+        asked = person.ask(annotator="person", strategy="own")
+        shown = list(asked.query.episode_ids)
+        own = {name for name in shown if name.startswith("train-")}
+        assert asked.query.strategy == "own" and len(own) == 2 and len(shown) == 3
+        ranked |= own
+        assert person.submit(shown, [1, 2, 3], query_id=asked.query.query_id).success
+    assert person.progress().videos == VIDEOS, "the pool is what it was"
+    uniform = person.ask(annotator="person")
+    assert not [name for name in uniform.query.episode_ids if name.startswith("train-")]
+
+    read = set((folder / "features").rglob("*.safetensors"))
+    answer = person.align(encoder="rapl", preset="tuned", triplets=0, seed=1)
+    assert answer.status == GoalStatus.STATUS_SUCCEEDED, answer.result.message
+    fresh = set((folder / "features").rglob("*.safetensors")) - read
+    assert len(fresh) == 2 * len(ranked), "what was ranked and its mirrored twins, nothing else"
+    none = person.ask(annotator="person", strategy="own")
+    assert not none.success and "recorded 0 of 2 new videos" in none.message
 
 
 def test_align_refuses_what_it_does_not_know_and_can_be_cancelled(

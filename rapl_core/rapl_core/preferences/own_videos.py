@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,10 @@ class OwnVideos:
         """
         self._stamps_ns[episode_id] = stamp_ns
 
+    def __iter__(self) -> Iterator[str]:
+        """All videos of the learner."""
+        return iter(self._stamps_ns)
+
     def new(self, most: int = MOST_NEW) -> tuple[str, ...]:
         """The new videos by age, at most so many, evenly from the oldest to the newest."""
         fresh = sorted(
@@ -73,8 +77,8 @@ class OwnQueries:
     can be compared.
 
     :param rng: the order of queries follows from it.
-    :param new: gives the learner's new videos.
-    :param experts: gives the present expert set D+.
+    :param new: the learner's new videos.
+    :param experts: the present expert set D+.
     :param size: videos in a query.
     """
 
@@ -83,8 +87,8 @@ class OwnQueries:
     def __init__(
         self,
         rng: np.random.Generator,
-        new: Callable[[], Sequence[str]],
-        experts: Callable[[], Sequence[str]],
+        new: Sequence[str],
+        experts: Sequence[str],
         size: int = 3,
     ) -> None:
         if size < 2:
@@ -104,12 +108,12 @@ class OwnQueries:
         :raises RankingError: if the learner has recorded too few, or all were asked about.
         """
         there, past = set(episode_ids), sets_of(asked)
-        new = [name for name in self._new() if name in there]
+        new = [name for name in self._new if name in there]
         if len(new) < self._size - 1:
             raise RankingError(
                 f"no query: the learner has recorded {len(new)} of {self._size - 1} new videos"
             )
-        experts = [name for name in self._experts() if name in there and name not in new]
+        experts = [name for name in self._experts if name in there and name not in new]
         if not experts:
             raise RankingError("no query: no expert video, for nothing is ranked yet")
         for _ in range(_TRIES):

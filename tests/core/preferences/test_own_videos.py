@@ -22,7 +22,7 @@ def recorded(folder: Path, count: int, first: int = 0) -> OwnVideos:
 
 
 def selector(videos: OwnVideos, size: int = 3, seed: int = 0) -> OwnQueries:
-    return OwnQueries(np.random.default_rng(seed), videos.new, lambda: EXPERTS, size)
+    return OwnQueries(np.random.default_rng(seed), videos.new(), EXPERTS, size)
 
 
 def pool(count: int) -> list[str]:
