@@ -15,7 +15,8 @@ SCHEMA_VERSION = 2
 BUSY_TIMEOUT_S = 30.0
 """How long a writer waits for another before it gives up."""
 
-_MAGIC = b"SQLite format 3\x00"
+_SMALLEST_PAGE = 512
+"""Bytes; every SQLite file has at least one page, and is written by whole pages."""
 
 # All three tables only ever grow: what a row said is never changed or removed.
 _TABLES = """
@@ -57,14 +58,17 @@ DROP TABLE queries_1;
 def check_database(path: Path) -> None:
     """Read ``path`` and leave it as it is; nothing happens when it does not exist or is empty.
 
+    Only SQLite may open the file: a process that closes it by other means loses the locks of its
+    open stores, and another process then removes the log that they write to
+    (sqlite.org/howtocorrupt.html, 2.2).
+
     :raises CorruptFileError: if it is no ranking store, or a damaged one.
     """
     if not path.exists() or path.stat().st_size == 0:
         return
-    with path.open("rb") as file:
-        head = file.read(len(_MAGIC))
-    if head != _MAGIC:
-        raise CorruptFileError(f"{path} is not a ranking store: no SQLite file; it is left as is")
+    no_database = f"{path} is not a ranking store: no SQLite file; it is left as is"
+    if path.stat().st_size < _SMALLEST_PAGE:  # SQLite would take it for an empty one
+        raise CorruptFileError(no_database)
     try:
         connection = sqlite3.connect(
             f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_TIMEOUT_S
@@ -79,6 +83,8 @@ def check_database(path: Path) -> None:
     except sqlite3.OperationalError as error:
         raise RankingError(f"cannot read the ranking store {path}: {error}") from error
     except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode == sqlite3.SQLITE_NOTADB:
+            raise CorruptFileError(no_database) from error
         raise CorruptFileError(f"{path} is damaged: {error}; it is left as is") from error
     if verdict != "ok":
         raise CorruptFileError(f"{path} is damaged: {verdict}; it is left as is")

@@ -329,6 +329,43 @@ def test_what_was_acknowledged_survives_kill_9(tmp_path: Path) -> None:
         assert store.add(ranking("afterwards")) == len(stored) + 1
 
 
+def test_a_second_store_in_a_process_does_not_take_the_locks_of_the_first(tmp_path: Path) -> None:
+    """A node opens its store again to align; another process then opens and closes it too.
+
+    Were the first one's locks gone, that process would take itself for the last, remove the log,
+    and what the first one stores from then on would be in no file that has a name.
+    """
+    path = tmp_path / "rankings.sqlite"
+    other = f"""
+from pathlib import Path
+from rapl_core.preferences import RankingStore
+with RankingStore(Path({str(path)!r})) as store:
+    print(store.count())
+"""
+
+    def seen_by_another_process() -> int:
+        ended = subprocess.run(
+            [sys.executable, "-c", other], check=True, capture_output=True, text=True
+        )
+        return int(ended.stdout)
+
+    with RankingStore(path) as first:
+        first.add(ranking("r0"))
+        with RankingStore(path) as second:
+            assert second.count() == 1
+        assert seen_by_another_process() == 1
+        first.add(ranking("r1"))
+        assert seen_by_another_process() == 2
+
+
+def test_a_short_file_that_is_no_database_is_not_taken_for_an_empty_one(tmp_path: Path) -> None:
+    path = tmp_path / "rankings.sqlite"
+    path.write_text("ranking,1,2,3")
+    with pytest.raises(CorruptFileError, match="no SQLite file"):
+        RankingStore(path)
+    assert path.read_text() == "ranking,1,2,3"
+
+
 @pytest.mark.parametrize("damage", ["not a database", "page", "truncated"])
 def test_a_damaged_file_is_named_and_left_as_it_is(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "rankings.sqlite"
