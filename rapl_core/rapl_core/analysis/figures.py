@@ -91,27 +91,46 @@ def plan_figure(plan: NDArray[np.float64], title: str) -> str:
         return _svg(figure)
 
 
-def success_figure(curves: Sequence[NamedCurve], title: str = "") -> str:
-    """Draw success over world steps."""
+def success_figure(
+    curves: Sequence[NamedCurve], title: str = "", marks: Sequence[tuple[int, str]] = ()
+) -> str:
+    """Draw success over world steps.
+
+    :param marks: world steps at which something happened, and in a word what.
+    """
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(6.4, 3.0), layout="constrained")
         axes = figure.subplots()
-        for curve, colour in zip(curves, [BLUE, GREY, ORANGE, GREEN], strict=False):
-            axes.plot(
-                curve.steps,
-                100 * curve.success,
-                "--o" if curve.dashed else "-o",
-                color=colour,
-                lw=1.8,
-                ms=4,
-                label=curve.label,
-                clip_on=False,
-            )
-        axes.set(xlabel="world steps", ylabel="success (%)", ylim=(0, 100), title=title)
-        axes.set_xlim(left=0)
-        _grid(axes)
-        axes.legend(frameon=False, loc="upper left")
+        draw_success(axes, curves, marks)
+        axes.set(title=title)
         return _svg(figure)
+
+
+def draw_success(
+    axes: Axes, curves: Sequence[NamedCurve], marks: Sequence[tuple[int, str]] = ()
+) -> None:
+    """Draw success over world steps on given axes; see :func:`success_figure`."""
+    for steps, what in marks:
+        axes.axvline(steps, color=GREEN, lw=1.0, ls=":", zorder=0)
+        axes.annotate(
+            what, (steps, 1.0), (2, -3), xycoords=("data", "axes fraction"),
+            textcoords="offset points", rotation=90, va="top", fontsize=7, color=GREEN,
+        )  # fmt: skip
+    for curve, colour in zip(curves, [BLUE, GREY, ORANGE, GREEN], strict=False):
+        axes.plot(
+            curve.steps,
+            100 * curve.success,
+            "--o" if curve.dashed else "-o",
+            color=colour,
+            lw=1.8,
+            ms=4,
+            label=curve.label,
+            clip_on=False,
+        )
+    axes.set(xlabel="world steps", ylabel="success (%)", ylim=(0, 100))
+    axes.set_xlim(left=0)
+    _grid(axes)
+    axes.legend(frameon=False, loc="upper left")
 
 
 def bars_figure(

@@ -83,6 +83,7 @@ def results(
                 "human_return": final.get("human_return_mean"),
                 "by_step": curve.rows() if curve else [],
             },
+            "online": [asdict(entry) for entry in record.online],
             "triplets": len(record.triplets()),
             "triplet_accuracy_held_out": align.get("held_out_accuracy"),
             "agreement": {name: asdict(a) for name, a in findings.agreement},

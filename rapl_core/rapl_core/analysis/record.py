@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from rapl_core.analysis.online import OnlineAlignment, read_online
 from rapl_core.analysis.stages import StageRecord, read_stages
 from rapl_core.episodes import EpisodeStore
 from rapl_core.episodes.summary import EpisodeSummary
@@ -47,6 +48,8 @@ class RunRecord:
     stages: tuple[StageRecord, ...]
     episodes: tuple[EpisodeSummary, ...]
     rankings: tuple[Ranking, ...]
+    online: tuple[OnlineAlignment, ...] = ()
+    """Alignments made while the robot learnt."""
 
     @property
     def task(self) -> str:
@@ -105,6 +108,7 @@ def read_run(folder: Path) -> RunRecord:
         stages=read_stages(folder),
         episodes=tuple(EpisodeStore(folder / EPISODES_FOLDER).summaries()),
         rankings=tuple(rankings),
+        online=tuple(read_online(folder)),
     )
 
 

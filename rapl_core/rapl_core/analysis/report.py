@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from rapl_core.analysis import figures, provenance
 from rapl_core.analysis.annotators import people_of
 from rapl_core.analysis.curves import curve_of, oracle_curve
 from rapl_core.analysis.findings import Findings, find, results
+from rapl_core.analysis.online import OnlineAlignment
 from rapl_core.analysis.record import RunRecord, pool_composition, read_run
 from rapl_core.analysis.scoring import RewardingEncoder, ScoredVideo, Scorer
 from rapl_core.analysis.strips import picture_uri, strip
@@ -80,7 +81,8 @@ def _render(
         subtitle=_subtitle(record, found),
         quick=bool(record.settings.get("quick")),
         facts=_facts(record, found),
-        **_success(curve, oracle, reward),
+        **_success(curve, oracle, reward, record.online),
+        online=record.online,
         **_videos(findings, reward),
         **_plans(findings, scorer),
         agreement=() if reward == "ground_truth" else findings.agreement,
@@ -129,7 +131,10 @@ def _facts(record: RunRecord, found: Mapping[str, Any]) -> list[tuple[str, str]]
 
 
 def _success(
-    curve: LearningCurve | None, oracle: LearningCurve | None, reward: str
+    curve: LearningCurve | None,
+    oracle: LearningCurve | None,
+    reward: str,
+    online: Sequence[OnlineAlignment] = (),
 ) -> dict[str, str]:
     named = []
     for label, what, dashed in ((reward, curve, False), ("oracle (r* as reward)", oracle, True)):
@@ -140,8 +145,11 @@ def _success(
     caption = "Deterministic policy on starts that are seen nowhere else."
     if oracle is None and reward != "ground_truth":
         caption += " For the oracle's curve beside it, run the task with --reward ground_truth."
+    marks = [(entry.steps, entry.version[:8]) for entry in online if entry.is_done]
+    if marks:
+        caption += " Dotted: from there on another version of the encoder gives the reward."
     return {
-        "success": figures.success_figure(named) if named else "",
+        "success": figures.success_figure(named, marks=marks) if named else "",
         "success_caption": caption,
     }
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from rapl_core.analysis import curves, record, report, scoring
+from rapl_core.analysis.online import OnlineAlignment, OnlineBook, read_online
 from rapl_core.analysis.stages import StageBook, read_stages
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import CorruptFileError
@@ -263,3 +265,26 @@ def test_a_stage_whose_input_changed_is_forgotten_but_not_its_time(tmp_path: Pat
     assert [(r.name, r.status, r.seconds, dict(r.result)) for r in book.records] == [
         ("report", "waiting", 3.0, {})
     ]
+
+
+def test_alignments_while_learning_are_kept_marked_and_told(run: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "online"
+    shutil.copytree(run, folder)
+    assert read_online(folder) == []
+    book = OnlineBook(folder)
+    assert book.under_way is None and book.done == 0
+    book.begin(2_000, 14)
+    again = OnlineBook(folder)  # as after a restart
+    assert again.begin(2_500, 99) == OnlineAlignment(2_000, 14), "what was begun goes on"
+    again.finish(2_600, 15, "c0ffee0123456789", float("nan"))
+    again.begin(4_000, 20)
+    assert again.done == 1 and again.under_way is not None
+    page = report.write_report(folder, WhereIsTheSpot()).read_text()
+    assert "c0ffee01" in page and "at work from step" in page and "waited for 20" in page
+    assert "c0ffee01" in page[page.index("<svg") : page.index("</svg>")], "marked on the curve"
+    [first, second] = json.loads((folder / "results.json").read_text())["online"]
+    assert (first["steps"], first["rankings"], first["held_out_accuracy"]) == (2_600, 15, None)
+    assert second["version"] == ""
+    (folder / "online.json").write_text("[{}]")
+    with pytest.raises(CorruptFileError, match=r"online\.json"):
+        read_online(folder)
