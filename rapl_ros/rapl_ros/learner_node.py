@@ -351,7 +351,7 @@ class LearnerNode(RaplNode):
         if session.swaps > self._swaps:
             self._swaps = session.swaps
             source = session.learning.reward_source
-            what = {"empty": "emptied", "relabel": "rewarded again"}[self.config.after_swap]
+            what = {"empty": "is emptied", "relabel": "is rewarded again"}[self.config.after_swap]
             self.get_logger().warning(f"rewards now come from {source}: replay buffer {what}")
         self._waiting.wake()
 

@@ -113,10 +113,12 @@ def draw_success(
     for steps, what in marks:
         axes.axvline(steps, color=GREEN, lw=1.0, ls=":", zorder=0)
         axes.annotate(
-            what, (steps, 1.0), (2, -3), xycoords=("data", "axes fraction"),
-            textcoords="offset points", rotation=90, va="top", fontsize=7, color=GREEN,
+            what, (steps, 0.0), (2, 3), xycoords=("data", "axes fraction"),
+            textcoords="offset points", rotation=90, va="bottom", fontsize=7, color=GREEN,
         )  # fmt: skip
-    for curve, colour in zip(curves, [BLUE, GREY, ORANGE, GREEN], strict=False):
+    colours = iter((BLUE, ORANGE, GREEN))
+    for curve in curves:
+        colour = GREY if curve.dashed else next(colours)
         axes.plot(
             curve.steps,
             100 * curve.success,
