@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import matplotlib
@@ -116,7 +117,7 @@ def draw_success(
             what, (steps, 0.0), (2, 3), xycoords=("data", "axes fraction"),
             textcoords="offset points", rotation=90, va="bottom", fontsize=7, color=GREEN,
         )  # fmt: skip
-    colours = iter((BLUE, ORANGE, GREEN))
+    colours = cycle((BLUE, ORANGE, GREEN))
     for curve in curves:
         colour = GREY if curve.dashed else next(colours)
         axes.plot(
