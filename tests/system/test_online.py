@@ -1,0 +1,64 @@
+"""Alignment while the robot learns, on the real graph, in miniature."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graph_run import TINY, GraphRun
+
+from rapl_core.analysis.online import read_online
+from rapl_core.episodes import EpisodeStore
+from rapl_core.policies import CheckpointFolder, read_checkpoint
+from rapl_core.preferences import RankingStore
+from rapl_core.representations import make_encoder
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
+
+STEPS = 1800
+"""After the swap rounds must follow in which the buffer is rewarded again."""
+
+
+def check_buffer(folder: Path) -> int:
+    """Every reward in the newest checkpoint is rapl_core's, by the version at work; how many."""
+    newest = CheckpointFolder(folder / "policies").latest()
+    assert newest is not None
+    parts = read_checkpoint(newest)
+    encoder = make_encoder("rapl", folder)
+    source = parts["run"].values["reward"]
+    assert source["version"] == encoder.info.version == read_online(folder)[-1].version
+    store = EpisodeStore(folder / "episodes")
+    experts = [encoder.embed_expert(e, store.frames(e)) for e in encoder.expert_ids]
+    rewards = parts["trainer"].arrays["replay.rewards"][:, 0]
+    spans = parts["trainer"].values["replay"]["spans"]
+    for name, start, steps in spans:
+        z = encoder.embed(store.frames(name)[1:])
+        expected = encoder.reward(z, experts).values
+        np.testing.assert_allclose(rewards[start : start + steps], expected, rtol=1e-3, atol=1e-3)
+    return len(spans)
+
+
+def test_the_robots_own_videos_are_ranked_and_its_buffer_is_rewarded_by_the_new_version(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "run"
+    arguments = [*TINY, "--steps", str(STEPS), "--online", "1", "--online-triplets", "6"]
+    run = GraphRun([*arguments, "--out", str(folder)], tmp_path / "log")
+    try:
+        assert run.process.wait(timeout=900) == 0, run.text()[-3000:]
+    finally:
+        run.close()
+    [entry] = read_online(folder)
+    assert entry.asked_steps >= STEPS // 2 and STEPS // 2 <= entry.steps <= STEPS + 240
+    assert entry.rankings == entry.wanted == 18
+    with RankingStore(folder / "rankings.sqlite") as rankings:
+        late = rankings.all()[12:]
+    own = [sum(name.startswith("train-") for name in r.episode_ids) for r in late]
+    assert own == [2] * 6, "each beside one expert video"
+    log = (folder / "logs" / "learner.log").read_text()
+    assert f"episodes rewarded again by RewardSource(name='rapl', version='{entry.version}'" in log
+    assert "could not be rewarded again" not in log
+    assert check_buffer(folder) >= 15
+    results = json.loads((folder / "results.json").read_text())
+    assert results["online"][0]["version"] == entry.version
+    assert entry.version[:8] in (folder / "report.html").read_text()
