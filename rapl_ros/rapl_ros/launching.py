@@ -62,6 +62,8 @@ SETTINGS = {
     "worlds": "worlds simulated side by side",
     "pool_episodes": "videos to collect and rank",
     "triplets": "rankings of three videos",
+    "online": "alignments while the robot learns, from rankings of its own videos too",
+    "online_triplets": "further rankings for each of them",
     "steps": "world steps of learning",
     "evaluate_every": "world steps between two evaluations while learning",
     "final_episodes": "episodes of the evaluation after learning",

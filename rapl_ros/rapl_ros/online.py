@@ -103,9 +103,10 @@ class OnlineAlignments:
             return False
         result = await align_and_swap(context, 0)
         accuracy = float(result["held_out_accuracy"])
-        self._book.finish(self.steps, rankings, str(result["version"]), accuracy)
+        steps = max(self.steps, entry.asked_steps)  # after a restart it is not told at once
+        self._book.finish(steps, rankings, str(result["version"]), accuracy)
         context.node.get_logger().info(
-            f"after {self.steps} steps the encoder is {result['version']}, from {rankings} rankings"
+            f"after {steps} steps the encoder is {result['version']}, from {rankings} rankings"
         )
         return True
 

@@ -119,6 +119,7 @@ def test_a_part_of_the_nodes_can_be_launched(tmp_path: Path) -> None:
         ({"encoder": "eye"}, "unknown encoder 'eye'"),
         ({"backbone": "spine"}, "unknown backbone 'spine'"),
         ({"weights": "/nowhere"}, "no weights at /nowhere"),
+        ({"online": "2", "reward": "imagenet"}, "'imagenet' learns nothing from them"),
     ],
 )
 def test_bad_values_are_refused_by_name_and_leave_no_run(

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rapl_core.errors import RaplError
-from rapl_core.policies import SacConfig, ScheduleConfig
+from rapl_core.policies import Relabelling, RewardSource, SacConfig, ScheduleConfig
 from rapl_core.tasks import get_task
 from rapl_core.types import RewardTrace
-from rapl_ros.learner_session import LearnerSession, fresh_or_refuse
+from rapl_ros.learner_session import AfterSwap, LearnerSession, fresh_or_refuse
 from rapl_ros.players import TrainingPlayer
 from rapl_ros.wire import EpisodeReward, Instant, JoinKey, World
 
@@ -20,7 +20,7 @@ TASK = get_task("franka_group")
 STEPS, WORLDS = 5, 2
 
 
-def make_session(folder: Path) -> LearnerSession:
+def make_session(folder: Path, after_swap: AfterSwap = "empty") -> LearnerSession:
     world = World(
         task="franka_group",
         worlds=WORLDS,
@@ -35,7 +35,7 @@ def make_session(folder: Path) -> LearnerSession:
     )
     schedule = ScheduleConfig(steps=1000, worlds=WORLDS, random_steps=1000, evaluate_episodes=0)
     sac = SacConfig(hidden=(8,), batch_size=4, buffer_size=100)
-    return LearnerSession(world, sac, schedule, 0, folder)
+    return LearnerSession(world, sac, schedule, 0, folder, after_swap)
 
 
 @pytest.fixture
@@ -49,6 +49,13 @@ def session(tmp_path: Path) -> Iterator[LearnerSession]:
 def successor(tmp_path: Path) -> Iterator[LearnerSession]:
     """Of the process that takes over."""
     made = make_session(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def relabelling_session(tmp_path: Path) -> Iterator[LearnerSession]:
+    made = make_session(tmp_path, "relabel")
     yield made
     made.close()
 
@@ -152,6 +159,60 @@ def test_after_an_encoder_swap_the_replay_buffer_is_emptied(session: LearnerSess
     assert size(session) == WORLDS * STEPS, "only what the second encoder has rewarded"
     source = session.learning.reward_source
     assert source is not None and source.version == "bbbb"
+
+
+def swap_after_four_rounds(session: LearnerSession) -> None:
+    """Six episodes to learn from by aaaa; two are staged by aaaa and two by bbbb."""
+    for number in range(4):
+        play(session, number)
+        for world in range(WORLDS):
+            give(session, f"train-{world}-{number}", "aaaa")
+    play(session, 4)
+    give(session, "train-0-4", "bbbb")
+    give(session, "train-1-4", "bbbb")
+
+
+def answer(relabelling: Relabelling, version: str) -> None:
+    source = RewardSource("rapl", version, 1.0)
+    while not relabelling.is_done:
+        asked = relabelling.next()
+        relabelling.take(source, {name: np.full(STEPS, -7.0) for name in asked}, {})
+
+
+def test_a_relabelled_buffer_keeps_its_size_and_holds_the_new_rewards(
+    relabelling_session: LearnerSession,
+) -> None:
+    session = relabelling_session
+    swap_after_four_rounds(session)
+    before = size(session)
+    assert session.swaps == 1 and session.needs_relabelling and before == 6 * STEPS
+    with pytest.raises(RaplError, match="outdated"):
+        session.begin_round()
+    relabelling = session.begin_relabelling()
+    assert relabelling.total == 8, "what the new encoder has rewarded is not asked for"
+    answer(relabelling, "bbbb")
+    session.end_relabelling(relabelling)
+    assert not session.needs_relabelling and session.relabelled == 8 and size(session) == before
+    session.begin_round()
+    rewards = session.learning.trainer.replay.rewards[: size(session), 0]
+    assert set(rewards.tolist()) == {-7.0}
+    assert session.metrics().dropped_episodes == 0
+
+
+def test_a_checkpoint_before_the_relabelling_is_relabelled_by_who_takes_over(
+    relabelling_session: LearnerSession, tmp_path: Path
+) -> None:
+    swap_after_four_rounds(relabelling_session)
+    successor = make_session(tmp_path, "relabel")
+    successor.resume(relabelling_session.save())
+    assert size(successor) == 6 * STEPS and successor.needs_relabelling
+    relabelling = successor.begin_relabelling()
+    answer(relabelling, "bbbb")
+    successor.end_relabelling(relabelling)
+    successor.begin_round()
+    rewards = successor.learning.trainer.replay.rewards[: size(successor), 0]
+    assert set(rewards.tolist()) == {-7.0}
+    successor.close()
 
 
 def test_a_checkpoint_brings_everything_back_and_is_not_overwritten_by_accident(

@@ -71,7 +71,9 @@ def results(
 ) -> dict[str, Any]:
     """Return what ``results.json`` holds; what is unknown is null."""
     final = record.stage("evaluate").result
-    align = record.stage("align").result
+    accuracy = record.stage("align").result.get("held_out_accuracy")
+    for later in record.online:
+        accuracy = later.held_out_accuracy if later.is_done else accuracy
     found: dict[str, Any] = plain(
         {
             "settings": dict(record.settings),
@@ -85,7 +87,7 @@ def results(
             },
             "online": [asdict(entry) for entry in record.online],
             "triplets": len(record.triplets()),
-            "triplet_accuracy_held_out": align.get("held_out_accuracy"),
+            "triplet_accuracy_held_out": accuracy,
             "agreement": {name: asdict(a) for name, a in findings.agreement},
             "arm_only_share": findings.arm_share,
             "pool": [asdict(share) for share in pool_composition(record)],

@@ -20,6 +20,7 @@ from rapl_core.analysis.scoring import RewardingEncoder, ScoredVideo, Scorer
 from rapl_core.analysis.strips import picture_uri, strip
 from rapl_core.atomic import write_atomically
 from rapl_core.policies.learning_curve import LearningCurve
+from rapl_core.preferences.own_videos import videos_to_learn_from
 
 REPORT_FILE = "report.html"
 RESULTS_FILE = "results.json"
@@ -122,7 +123,8 @@ def _facts(record: RunRecord, found: Mapping[str, Any]) -> list[tuple[str, str]]
             (_percent(success["mean_of_last_three"]), "success, mean of the last three evaluations")
         )
     if record.rankings:
-        facts.append((str(found["triplets"]), f"triplets from {len(record.pool)} videos"))
+        videos = videos_to_learn_from((e.episode_id for e in record.pool), record.rankings)
+        facts.append((str(found["triplets"]), f"triplets from {len(videos)} videos"))
     if found["triplet_accuracy_held_out"] is not None:
         facts.append(
             (_percent(found["triplet_accuracy_held_out"]), "of held-out triplets ordered right")
