@@ -1,5 +1,7 @@
 """Calls with a deadline, for coroutines on the executor."""
 
+import time
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.client import Client
@@ -58,4 +60,38 @@ async def call(node: RaplNode, client: Client, request: Any, deadline_s: float =
     if not future.done():
         client.remove_pending_request(future)
         raise CallError(f"{client.srv_name} gave no answer within {deadline_s:g} s")
+    return future.result()
+
+
+async def call_peer(
+    node: RaplNode,
+    client: Client,
+    request: Any,
+    peer: str,
+    deadline_s: float,
+    check: Callable[[], None] = lambda: None,
+) -> Any:
+    """Return the answer of a service of a peer, for requests that take long: that the peer died is
+    noticed by its heartbeat.
+
+    :param peer: its name; ``node`` must watch it.
+    :param check: called several times a second; what it raises ends the waiting.
+    :raises CallError: if the peer is not there, dies meanwhile, or gives no answer in time.
+    """
+    watched = node.peers[peer]
+    if not (watched.alive and client.service_is_ready()):
+        raise CallError(f"{peer} is not there")
+    incarnation, began_s = watched.incarnation, time.monotonic()
+    future = client.call_async(request)
+    try:
+        while not future.done():
+            if not watched.alive or watched.incarnation != incarnation:
+                raise CallError(f"{peer} died meanwhile")
+            if time.monotonic() - began_s > deadline_s:
+                raise CallError(f"{peer} gave no answer within {deadline_s:g} s")
+            check()
+            await pause(node, _POLL_S)
+    finally:
+        if not future.done():
+            client.remove_pending_request(future)
     return future.result()

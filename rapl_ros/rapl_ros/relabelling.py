@@ -7,14 +7,13 @@ from rapl_msgs.srv import RewardAgain
 from rapl_core.errors import RaplError
 from rapl_core.policies import Relabelling, RewardSource
 from rapl_ros import conversions, topics
-from rapl_ros.calls import CallError, pause
+from rapl_ros.calls import CallError, call_peer, pause
 from rapl_ros.learner_session import LearnerSession
 from rapl_ros.node import RaplNode
 from rapl_ros.progress import count_words
 from rapl_ros.waiting import Waiting
 from rapl_ros.wire import RewardsAgain
 
-POLL_S = 0.05
 RETRY_S = 1.0
 CALL_S = 75.0
 """For one batch; longer than ot_reward waits for the encoder."""
@@ -72,22 +71,14 @@ class RelabellingPort:
 
         :raises CallError: if ot_reward is not there, dies meanwhile, refuses, or is late.
         """
-        peer = self._node.peers[topics.OT_REWARD]
-        if not (peer.alive and self._client.service_is_ready()):
-            raise CallError("ot_reward is not there")
-        incarnation, began_s = peer.incarnation, time.monotonic()
-        deadline_s = min(CALL_S, self._deadline_s)
-        future = self._client.call_async(RewardAgain.Request(episode_ids=list(episode_ids)))
-        while not future.done():
-            gone = not peer.alive or peer.incarnation != incarnation
-            late = time.monotonic() - began_s > deadline_s
-            if gone or late:
-                self._client.remove_pending_request(future)
-                why = "died meanwhile" if gone else f"gave no answer within {deadline_s:g} s"
-                raise CallError(f"ot_reward {why}")
-            self._waiting.check_cancelled()
-            await pause(self._node, POLL_S)
-        response = future.result()
+        response = await call_peer(
+            self._node,
+            self._client,
+            RewardAgain.Request(episode_ids=list(episode_ids)),
+            topics.OT_REWARD,
+            min(CALL_S, self._deadline_s),
+            self._waiting.check_cancelled,
+        )
         if not response.success:
             raise CallError(response.message)
         return conversions.rewards_again_from_ros(response)

@@ -9,7 +9,7 @@ from rapl_core.errors import RaplError
 from rapl_core.streaming.reward_desk import RewardDesk
 from rapl_core.types import RewardTrace
 from rapl_ros import conversions, topics
-from rapl_ros.calls import CallError, call, pause
+from rapl_ros.calls import CallError, call_peer, pause
 from rapl_ros.node import RaplNode
 from rapl_ros.wire import EpisodeReward, RewardsAgain
 
@@ -51,8 +51,10 @@ class RewardingAgain:
         return response
 
     async def _reward(self, episode_ids: Sequence[str]) -> RewardsAgain:
+        if topics.ENCODER not in self._node.peers:
+            raise RaplError("rewards come from human_reward: no encoder changes them")
         asked = EmbedEpisodes.Request(episode_ids=list(episode_ids))
-        answer = await call(self._node, self._encoder, asked, EMBEDDING_S)
+        answer = await call_peer(self._node, self._encoder, asked, topics.ENCODER, EMBEDDING_S)
         if not answer.success:
             raise CallError(f"the encoder embeds nothing: {answer.message}")
         embedded = conversions.embeddings_again_from_ros(answer)

@@ -9,12 +9,14 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.srv import EmbedEpisodes, RewardAgain
+from rclpy.task import Future
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
 
 from rapl_core.streaming.reward_rule import RewardRule
 from rapl_core.transport import TransportConfig, ot_reward
 from rapl_core.types import EmbeddedEpisode, EncoderInfo, ExpertSet
 from rapl_ros import conversions, qos, topics
+from rapl_ros.liveness import Heartbeat
 from rapl_ros.wire import EmbeddedFrame, EmbeddingsAgain, EpisodeRecord, Instant, JoinKey
 
 pytestmark = pytest.mark.ros
@@ -246,17 +248,25 @@ def reward_again(robot: Robot, ids: list[str]) -> RewardAgain.Response:
 def test_recorded_episodes_are_rewarded_again_by_the_rule_of_the_version_at_work(
     robot: Robot,
 ) -> None:
-    """The probe answers in the encoder's place."""
-    version = "aaaa"
+    """A probe answers in the encoder's place, then hangs, then dies."""
+    version, hangs = "aaaa", False
+    encoder = Probe(topics.ENCODER)
+    Heartbeat(encoder.node).report("active")
+    robot.probe.executor.add_node(encoder.node)
+    beats = robot.probe.listen(
+        wire_msg.Heartbeat, topics.of_node(topics.HEARTBEAT, topics.OT_REWARD), qos.heartbeat()
+    )
     z = {name: embeddings(seed)[1:] for name, seed in (("old-1", 21), ("old-2", 22))}
 
     def record(name: str) -> EpisodeRecord:
         key = JoinKey(topics.world_frame(1), 77)
         return EpisodeRecord(key, name, "franka_group", 1, "train", "learner", "sac", HORIZON, "")
 
-    def embed(
+    async def embed(
         request: EmbedEpisodes.Request, response: EmbedEpisodes.Response
     ) -> EmbedEpisodes.Response:
+        if hangs:
+            await Future(executor=robot.probe.executor)
         known = [name for name in request.episode_ids if name in z]
         missing = {name: "not recorded" for name in request.episode_ids if name not in z}
         episodes = tuple((record(name), EmbeddedEpisode(name, z[name])) for name in known)
@@ -264,8 +274,10 @@ def test_recorded_episodes_are_rewarded_again_by_the_rule_of_the_version_at_work
         conversions.fill_embed_episodes(response, again)
         return response
 
-    name = topics.of_node(topics.EMBED_EPISODES, topics.ENCODER)
-    service = robot.probe.node.create_service(EmbedEpisodes, name, embed)
+    encoder.node.create_service(EmbedEpisodes, topics.EMBED_EPISODES, embed)
+    robot.probe.until(
+        lambda: beats and beats[-1].status == "active", DISCOVERY_S, "the encoder is noticed"
+    )
     try:
         published = len(robot.rewards)
         response = reward_again(robot, ["old-2", "gone", "old-1"])
@@ -285,8 +297,19 @@ def test_recorded_episodes_are_rewarded_again_by_the_rule_of_the_version_at_work
         assert not refused.success and "version eeee is not known" in refused.message
         robot.probe.spin_for(0.3)
         assert len(robot.rewards) == published, "the topic keeps one reward an episode"
+        hangs = True
+        service = topics.of_node(topics.REWARD_AGAIN, topics.OT_REWARD)
+        client = robot.probe.node.create_client(RewardAgain, service)
+        robot.probe.until(client.service_is_ready, DISCOVERY_S, "reward_again is there")
+        asked = client.call_async(RewardAgain.Request(episode_ids=["old-1"]))
+        robot.probe.spin_for(1.0)
+        assert not asked.done()
     finally:
-        robot.probe.node.destroy_service(service)
+        robot.probe.executor.remove_node(encoder.node)
+        encoder.close()
+    answer = robot.probe.wait(asked, 6.0, "that the encoder died is no reason to wait for long")
+    assert not answer.success and "encoder died meanwhile" in answer.message
+    robot.probe.until(lambda: beats[-1].status == "waiting", 5.0, "the encoder is missed")
 
 
 def test_it_says_that_the_encoder_is_missing(robot: Robot) -> None:
