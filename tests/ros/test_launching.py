@@ -39,7 +39,8 @@ def test_every_node_that_a_run_needs_is_launched_with_its_parameters(tmp_path: P
     nodes = plan(given(tmp_path, worlds="2", seed="7"))
     entries = [entry for entry in NODES if entry.name != "web"]
     assert [node.name for node in nodes] == [entry.name for entry in entries]
-    unset = set(KNOBS)  # of the simulated human: its own defaults hold
+    # Of the simulated human, and weights that were not given: the nodes' own defaults hold.
+    unset = {*KNOBS, "weights"}
     assert [set(node.parameters) for node in nodes] == [set(e.parameters) - unset for e in entries]
     assert {node.name: node.parameters for node in nodes}["simulator"]["worlds"] == 2
     assert [node.name for node in nodes if node.ends] == ["conductor"]
