@@ -2,6 +2,7 @@
 
 import threading
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from rapl_core.errors import RaplError, UnknownNameError
 from rapl_core.representations import Encoder, EpisodeEmbedder
 from rapl_core.types import EmbeddedEpisode
 from rapl_ros import conversions, topics
-from rapl_ros.background import QueueFullError, Worker
+from rapl_ros.background import Worker
 from rapl_ros.node import RaplNode
 from rapl_ros.wire import EmbeddingsAgain, EpisodeRecord, JoinKey
 
@@ -65,8 +66,11 @@ class EmbeddingAgain:
             if len(ids) > MOST_EPISODES:
                 raise RaplError(f"{len(ids)} episodes at once, expected {MOST_EPISODES} at most")
             again = await self._worker.submit(lambda: self._embed_all(ids))
-        except (RaplError, QueueFullError, OSError, RuntimeError) as error:
-            response.message = str(error)
+        except Exception as error:  # whoever asks is told, and the node goes on
+            known = isinstance(error, RaplError | OSError)
+            response.message = str(error) if known else f"{type(error).__name__}: {error}"
+            if not known:
+                self._node.get_logger().error("".join(traceback.format_exception(error)))
             self._node.diagnostics.count("refused_episodes", len(ids))
             return response
         conversions.fill_embed_episodes(response, again)
