@@ -11,6 +11,7 @@ from rapl_ros.calls import CallError, call_peer, pause
 from rapl_ros.learner_session import LearnerSession
 from rapl_ros.node import RaplNode
 from rapl_ros.progress import count_words
+from rapl_ros.rounds import RoundsStoppedError
 from rapl_ros.waiting import Waiting
 from rapl_ros.wire import RewardsAgain
 
@@ -55,6 +56,8 @@ class RelabellingPort:
                 await pause(self._node, RETRY_S)
             try:
                 answer = await self._ask(relabelling.next())
+            except RoundsStoppedError:
+                raise
             except RaplError as error:
                 if time.monotonic() - heard_s > self._deadline_s:
                     relabelling.give_up(str(error))
