@@ -139,13 +139,13 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--online",
-        type=_whole(0, 50),
+        type=_whole(*RANGES["online"]),
         metavar="N",
         help="alignments while the robot learns, from rankings of its own videos too (0)",
     )
     parser.add_argument(
         "--online-triplets",
-        type=_whole(1),
+        type=_whole(*RANGES["online_triplets"]),
         metavar="N",
         help=f"further rankings for each of them ({default.online_triplets})",
     )

@@ -48,6 +48,8 @@ RANGES: Final[Mapping[str, tuple[int, int | None]]] = {
     "triplets": (1, None),
     "demonstrations": (2, None),
     "groups": (0, 4),
+    "online": (0, 50),
+    "online_triplets": (1, None),
     "steps": (1, None),
     "random_steps": (0, None),
     "checkpoint_every": (0, None),
