@@ -31,6 +31,7 @@ from rapl_core.policies.rewards import (
     fit_scale,
 )
 from rapl_core.preferences import ContestQueries, SimulatedHuman, expert_set, triplets_from
+from rapl_core.preferences.own_videos import OwnQueries
 from rapl_core.preferences.strategies import strategy_of
 from rapl_core.representations import (
     Encoder,
@@ -50,6 +51,8 @@ from rapl_core.types import Episode, Ranking
 
 TASK = "franka_group"
 HERE = Path(__file__).parent
+EARLY_SEED = 10_000
+EARLY_VIDEOS = 48
 
 
 def make_videos(seed: int, stream: str, count: int, folder: Path) -> list[Episode]:
@@ -64,6 +67,40 @@ def make_videos(seed: int, stream: str, count: int, folder: Path) -> list[Episod
         beside.replace(kept)
     with np.load(kept, allow_pickle=True) as content:  # our own file of a moment ago
         return [Episode(**fields) for fields in content["episodes"]]
+
+
+def early_videos(reward: EpisodeReward, steps: int, seed: int) -> list[Episode]:
+    """Videos of a learner that the reward has taught for so many world steps, spread evenly.
+
+    Its own seed, so that its starts are not those of the learning that is measured.
+    """
+    seen: list[Episode] = []
+    train_in_process(
+        TASK,
+        reward,
+        SacConfig(),
+        ScheduleConfig(steps=steps, evaluate_episodes=0),
+        EARLY_SEED + seed,
+        on_event=lambda event: seen.extend(event.episodes),
+    )
+    late = seen[len(seen) // 4 :]  # before, it acts at random
+    return [late[int(i)] for i in np.linspace(0, len(late) - 1, EARLY_VIDEOS).round()]
+
+
+def rank_own(
+    rankings: list[Ranking], pool: list[Episode], early: list[Episode], count: int, seed: int
+) -> list[Ranking]:
+    """Ask the simulated human about the early learner's videos, each query beside an expert."""
+    rng = np.random.default_rng([seed, 202])
+    human = SimulatedHuman(rng)
+    returns = {video.episode_id: video.human_return for video in [*pool, *early]}
+    own = OwnQueries(rng, [video.episode_id for video in early], expert_set(rankings, 10))
+    rankings = list(rankings)
+    for number in range(len(rankings), len(rankings) + count):
+        shown = own.next(list(returns), [r.episode_ids for r in rankings])
+        ranks = human.rank([returns[name] for name in shown])
+        rankings.append(Ranking(f"r{number}", "simulated", shown, ranks))
+    return rankings
 
 
 def rank(pool: list[Episode], triplets: int, seed: int, strategy: str) -> list[Ranking]:
@@ -142,6 +179,10 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--triplets", type=int, default=150)
     parser.add_argument("--pool", type=int, default=300)
+    parser.add_argument(
+        "--early", type=int, default=0, help="world steps of an early learner, whose videos join"
+    )
+    parser.add_argument("--own", type=int, default=50, help="of the triplets, about its videos")
     parser.add_argument("--evaluate-every", type=int, default=5_000)
     parser.add_argument("--work", type=Path, default=Path("runs/study"), help="pools, checkpoints")
     parser.add_argument("--results", type=Path, default=HERE / "results")
@@ -150,7 +191,8 @@ def main() -> None:
     # torchvision crashes when it is first imported after an EGL context was made
     make_extractor(DEFAULT_BACKBONE, RAW_RECIPE)
     is_preset = options.reward in ("rapl", "rlhf")
-    name = "-".join([options.reward, *([options.preset] if is_preset else []), str(options.seed)])
+    parts = [options.reward, *([options.preset] if is_preset else [])]
+    name = "-".join([*parts, *(["early"] if options.early else []), str(options.seed)])
     folder = options.work / name
     folder.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
@@ -164,7 +206,18 @@ def main() -> None:
     else:
         strategy = options.strategy or strategy_of(options.preset)
         result["strategy"] = strategy
-        rankings = rank(pool, options.triplets, options.seed, strategy)
+        first = options.triplets - (options.own if options.early else 0)
+        rankings = rank(pool, first, options.seed, strategy)
+        if options.early:
+            encoder, _ = make_encoder(
+                options.reward, options.preset, pool, rankings, options.seed, options.work
+            )
+            by_id = {video.episode_id: video for video in pool}
+            experts = [encoder.embed_expert(i, by_id[i].frames) for i in encoder.expert_ids]
+            early = early_videos(EncoderReward(encoder, experts), options.early, options.seed)
+            result["early_successes"] = sum(bool(video.success) for video in early)
+            rankings = rank_own(rankings, pool, early, options.own, options.seed)
+            pool = [*pool, *early]
         encoder, learnt = make_encoder(
             options.reward, options.preset, pool, rankings, options.seed, options.work
         )
@@ -196,6 +249,7 @@ def main() -> None:
         "steps": options.steps,
         "triplets": options.triplets,
         "pool": options.pool,
+        "early": options.early,
         "schedule": asdict(schedule),
         "sac": asdict(sac),
         "wall_s": time.monotonic() - began,

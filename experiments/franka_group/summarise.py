@@ -29,6 +29,9 @@ NAMES = {
     ("imagenet", ""): "raw ImageNet features, OT",
 }
 
+EARLY = ", an early learner's videos too"
+"""Where some of the rankings are about those."""
+
 Run = dict[str, Any]
 
 
@@ -37,8 +40,10 @@ def load(folder: Path = RESULTS) -> dict[str, list[Run]]:
     found: dict[str, list[Run]] = defaultdict(list)
     for path in sorted(folder.glob("*-[0-9]*.json")):
         run = json.loads(path.read_text())
-        found[NAMES[run["reward"], run["preset"]]].append(run)
-    return {name: found[name] for name in NAMES.values() if name in found}
+        name = NAMES[run["reward"], run["preset"]]
+        found[name + EARLY if run.get("early") else name].append(run)
+    names = [name + more for name in NAMES.values() for more in ("", EARLY)]
+    return {name: found[name] for name in names if name in found}
 
 
 def mean_and_range(values: list[float], digits: int = 2) -> str:
