@@ -104,7 +104,8 @@ class OtRewardNode(RaplNode):
 
     def _say_what_is_missing(self) -> None:
         """The learner begins no round while this node waits: its steps would be wasted."""
-        if topics.SIMULATOR in self.missing_peers():  # its states would pass unheard
+        simulator = self.peers[topics.SIMULATOR]
+        if simulator.incarnation and not simulator.alive:  # it was there; a robot has none
             self.heartbeat.report("waiting", "for the simulator")
             return
         encoder = self.peers.get(topics.ENCODER)

@@ -147,8 +147,9 @@ def test_the_table_of_nodes_is_that_of_the_code() -> None:
 @pytest.mark.parametrize("node", sorted(CONFIGS))
 def test_the_table_of_nodes_says_what_each_node_makes(node: str) -> None:
     source = (ROOT / "rapl_ros" / "rapl_ros" / f"{node}_node.py").read_text()
-    if node == "learner":  # its rounds have the states and the actions
-        source += (ROOT / "rapl_ros" / "rapl_ros" / "rounds.py").read_text()
+    parts = {"learner": "rounds.py", "web": "web_graph.py"}  # which speak for the node
+    if node in parts:
+        source += (ROOT / "rapl_ros" / "rapl_ros" / parts[node]).read_text()
     tree = ast.parse((ROOT / "rapl_ros" / "rapl_ros" / "topics.py").read_text())
     values = {
         node.target.id: node.value.value

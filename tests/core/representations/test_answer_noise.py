@@ -67,7 +67,7 @@ def test_doubting_wrong_answers_learns_more_from_them() -> None:
         for noise, found in shares.items():
             preset = replace(
                 get_preset("tuned"), noise=noise, epochs=15, components=8, frames=4,
-                slow_weight=0.0, held_out=0.0, dimension=4,
+                slow_weight=0.0, held_out=0.0, dimension=4, inferred=0.0,
             )  # fmt: skip
             fit = fit_rapl(videos, Lesson(triplets, experts), preset, np.random.default_rng(seed))
             z = {name: fit.embed(video).mean(0) for name, video in videos.items()}
