@@ -94,7 +94,7 @@ def picture(runs: dict[str, list[Run]], path: Path) -> None:
     axis.set_xlabel("thousand world steps")
     axis.set_ylabel("success, 50 episodes")
     axis.set_ylim(-0.02, 1.02)
-    axis.legend(frameon=False, fontsize=8, loc="upper left")
+    axis.legend(frameon=False, fontsize=8, loc="lower right")
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     figure.tight_layout()
