@@ -33,14 +33,17 @@ async def given(context: StageContext) -> int:
 
     :raises CallError: if it answers that it cannot say.
     """
+    waited = False
     while True:
         try:
             response = await call(context.node, context.progress, GetProgress.Request())
         except CallError as error:
+            waited = True
             context.say(f"for {topics.PREFERENCE}: {error}")
             await pause(context.node, 1.0)
             continue
-        context.say("")
+        if waited:
+            context.say("")
         check(response, "rank")
         return int(response.given)
 

@@ -26,7 +26,7 @@ CONFIGS = {
     ],
     "ot_reward": [("rapl_core.streaming.reward_desk", "DeskConfig", "")],
     "recorder": [("rapl_ros.recorder_node", "RecorderConfig", "")],
-    "preference": [("rapl_ros.preference_node", "PreferenceConfig", "")],
+    "preference": [("rapl_ros.preference_config", "PreferenceConfig", "")],
     "simulated_human": [("rapl_ros.simulated_human_node", "SimulatedHumanConfig", "")],
     "demonstrator": [("rapl_ros.demonstrator_node", "DemonstratorConfig", "")],
     "learner": [
