@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from online_alignment import OnlineAlignment
+from scenes import TASK, Scenes
 
 from rapl_core.analysis import measures
 from rapl_core.analysis.provenance import commit, machine, versions
@@ -30,16 +32,13 @@ from rapl_core.policies.rewards import (
     GroundTruthReward,
     fit_scale,
 )
-from rapl_core.preferences import ContestQueries, SimulatedHuman, expert_set, triplets_from
-from rapl_core.preferences.own_videos import OwnQueries
+from rapl_core.preferences import ContestQueries, SimulatedHuman, expert_set
+from rapl_core.preferences.own_videos import online_alignments, online_share, online_steps
 from rapl_core.preferences.strategies import strategy_of
 from rapl_core.representations import (
     Encoder,
     FeatureStore,
-    align,
-    find_parts,
     get_preset,
-    learn_reward,
     make_extractor,
     raw_encoder_from,
 )
@@ -47,12 +46,9 @@ from rapl_core.representations.pretrained import RAW_RECIPE
 from rapl_core.representations.registry import DEFAULT_BACKBONE
 from rapl_core.simulation.simulation import Simulation
 from rapl_core.tasks import get_task
-from rapl_core.types import Episode, Ranking
+from rapl_core.types import EmbeddedEpisode, Episode, Ranking
 
-TASK = "franka_group"
 HERE = Path(__file__).parent
-EARLY_SEED = 10_000
-EARLY_VIDEOS = 48
 
 
 def make_videos(seed: int, stream: str, count: int, folder: Path) -> list[Episode]:
@@ -67,40 +63,6 @@ def make_videos(seed: int, stream: str, count: int, folder: Path) -> list[Episod
         beside.replace(kept)
     with np.load(kept, allow_pickle=True) as content:  # our own file of a moment ago
         return [Episode(**fields) for fields in content["episodes"]]
-
-
-def early_videos(reward: EpisodeReward, steps: int, seed: int) -> list[Episode]:
-    """Videos of a learner that the reward has taught for so many world steps, spread evenly.
-
-    Its own seed, so that its starts are not those of the learning that is measured.
-    """
-    seen: list[Episode] = []
-    train_in_process(
-        TASK,
-        reward,
-        SacConfig(),
-        ScheduleConfig(steps=steps, evaluate_episodes=0),
-        EARLY_SEED + seed,
-        on_event=lambda event: seen.extend(event.episodes),
-    )
-    late = seen[len(seen) // 4 :]  # before, it acts at random
-    return [late[int(i)] for i in np.linspace(0, len(late) - 1, EARLY_VIDEOS).round()]
-
-
-def rank_own(
-    rankings: list[Ranking], pool: list[Episode], early: list[Episode], count: int, seed: int
-) -> list[Ranking]:
-    """Ask the simulated human about the early learner's videos, each query beside an expert."""
-    rng = np.random.default_rng([seed, 202])
-    human = SimulatedHuman(rng)
-    returns = {video.episode_id: video.human_return for video in [*pool, *early]}
-    own = OwnQueries(rng, [video.episode_id for video in early], expert_set(rankings, 10))
-    rankings = list(rankings)
-    for number in range(len(rankings), len(rankings) + count):
-        shown = own.next(list(returns), [r.episode_ids for r in rankings])
-        ranks = human.rank([returns[name] for name in shown])
-        rankings.append(Ranking(f"r{number}", "simulated", shown, ranks))
-    return rankings
 
 
 def rank(pool: list[Episode], triplets: int, seed: int, strategy: str) -> list[Ranking]:
@@ -122,36 +84,17 @@ def rank(pool: list[Episode], triplets: int, seed: int, strategy: str) -> list[R
     return rankings
 
 
-def make_encoder(
-    reward: str,
-    preset_name: str,
-    pool: list[Episode],
-    rankings: list[Ranking],
-    seed: int,
-    work: Path,
-) -> tuple[Encoder, dict[str, object]]:
-    """Learn an encoder from rankings alone."""
-    preset = get_preset(preset_name)
-    recipe = RAW_RECIPE if reward == "imagenet" else preset.recipe
-    mirror = preset.mirror and reward != "imagenet"
-    extractor = make_extractor(DEFAULT_BACKBONE, recipe)
-    by_id = {video.episode_id: video.frames[1:] for video in pool}
-    find_parts(extractor, list(by_id), by_id.__getitem__, seed)
-    features = FeatureStore(extractor, work / "features", precision="bfloat16", mirror=mirror)
+def raw_encoder(
+    pool: list[Episode], rankings: list[Ranking], seed: int, work: Path
+) -> tuple[Encoder, list[EmbeddedEpisode]]:
+    """Raw ImageNet features and the experts in them: only these come from rankings."""
+    extractor = make_extractor(DEFAULT_BACKBONE, RAW_RECIPE)
+    features = FeatureStore(extractor, work / "features", precision="bfloat16")
     for video in pool:
         features.add_episode(video)
-    experts = expert_set(rankings, 10)
-    rng = np.random.default_rng(seed)
-    began = time.monotonic()
-    if reward == "imagenet":
-        return raw_encoder_from(features, experts, rng), {}
-    method = align if reward == "rapl" else learn_reward
-    encoder, report = method(features, triplets_from(rankings), experts, preset, rng)
-    return encoder, {
-        "align_s": time.monotonic() - began,
-        "held_out_accuracy": report.held_out_accuracy,
-        "best_epoch": report.best_epoch,
-    }
+    encoder = raw_encoder_from(features, expert_set(rankings, 10), np.random.default_rng(seed))
+    by_id = {video.episode_id: video for video in pool}
+    return encoder, [encoder.embed_expert(n, by_id[n].frames) for n in encoder.expert_ids]
 
 
 def judge(reward: EpisodeReward, test: list[Episode]) -> dict[str, float]:
@@ -179,10 +122,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--triplets", type=int, default=150)
     parser.add_argument("--pool", type=int, default=300)
-    parser.add_argument(
-        "--early", type=int, default=0, help="world steps of an early learner, whose videos join"
-    )
-    parser.add_argument("--own", type=int, default=50, help="of the triplets, about its videos")
+    parser.add_argument("--online", type=int, help="alignments while it learns; the preset's own")
     parser.add_argument("--evaluate-every", type=int, default=5_000)
     parser.add_argument("--work", type=Path, default=Path("runs/study"), help="pools, checkpoints")
     parser.add_argument("--results", type=Path, default=HERE / "results")
@@ -192,7 +132,11 @@ def main() -> None:
     make_extractor(DEFAULT_BACKBONE, RAW_RECIPE)
     is_preset = options.reward in ("rapl", "rlhf")
     parts = [options.reward, *([options.preset] if is_preset else [])]
-    name = "-".join([*parts, *(["early"] if options.early else []), str(options.seed)])
+    online = online_alignments(options.preset) if options.online is None else options.online
+    online = online if is_preset else 0
+    own = online_share(options.triplets, online)
+    parts += [f"online{online}"] if options.online is not None else []
+    name = "-".join([*parts, str(options.seed)])
     folder = options.work / name
     folder.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
@@ -200,35 +144,42 @@ def main() -> None:
     pool = make_videos(options.seed, "demonstrate", options.pool, options.work)
     result: dict[str, object] = {"reward": options.reward, "seed": options.seed}
     result["preset"] = options.preset if is_preset else ""
+    revise: OnlineAlignment | None = None
     if options.reward == "ground_truth":
         scale = fit_scale(v.human_rewards[1:] for v in pool if v.human_rewards is not None)
         reward: EpisodeReward = GroundTruthReward(scale)
     else:
         strategy = options.strategy or strategy_of(options.preset)
         result["strategy"] = strategy
-        first = options.triplets - (options.own if options.early else 0)
-        rankings = rank(pool, first, options.seed, strategy)
-        if options.early:
-            encoder, _ = make_encoder(
-                options.reward, options.preset, pool, rankings, options.seed, options.work
+        rankings = rank(pool, options.triplets - online * own, options.seed, strategy)
+        test = make_videos(options.seed, "test", 100, options.work)
+        scenes = Scenes.drawn(options.work)
+        if options.reward == "imagenet":
+            made = raw_encoder(pool, rankings, options.seed, options.work)
+            reward = EncoderReward(*made)
+        else:
+            revise = OnlineAlignment(
+                videos=pool,
+                rankings=rankings,
+                method=options.reward,
+                preset=get_preset(options.preset),
+                seed=options.seed,
+                work=options.work,
+                scenes=scenes,
+                marks=online_steps(options.steps, online),
+                more=own,
             )
-            by_id = {video.episode_id: video for video in pool}
-            experts = [encoder.embed_expert(i, by_id[i].frames) for i in encoder.expert_ids]
-            early = early_videos(EncoderReward(encoder, experts), options.early, options.seed)
-            result["early_successes"] = sum(bool(video.success) for video in early)
-            rankings = rank_own(rankings, pool, early, options.own, options.seed)
-            pool = [*pool, *early]
-        encoder, learnt = make_encoder(
-            options.reward, options.preset, pool, rankings, options.seed, options.work
-        )
-        by_id = {video.episode_id: video for video in pool}
-        experts = [encoder.embed_expert(i, by_id[i].frames) for i in encoder.expert_ids]
-        result["experts_successful"] = sum(bool(by_id[i].success) for i in encoder.expert_ids)
-        result |= learnt
-        reward = EncoderReward(encoder, experts)
-        result["offline"] = judge(reward, make_videos(options.seed, "test", 100, options.work))
-        print(name, {k: v for k, v in result.items()}, flush=True)
-    schedule = ScheduleConfig(steps=options.steps, evaluate_every=options.evaluate_every)
+            reward = revise.align()
+            made = revise.encoder, revise.experts
+            result["alignments"] = revise.report
+        result["offline"] = judge(reward, test)
+        result["scenes"] = scenes.judge(*made)
+        print(name, result, flush=True)
+    schedule = ScheduleConfig(
+        steps=options.steps,
+        evaluate_every=options.evaluate_every,
+        checkpoint_every=0 if online else 5_000,  # what is revised cannot be resumed
+    )
     sac = SacConfig()
 
     def tell(event: LearningEvent) -> None:
@@ -240,18 +191,31 @@ def main() -> None:
                 flush=True,
             )
 
+    begun_s = time.monotonic()
     curve = train_in_process(
-        TASK, reward, sac, schedule, options.seed, folder, resume=True, on_event=tell
+        TASK,
+        reward,
+        sac,
+        schedule,
+        options.seed,
+        folder,
+        resume=not online,
+        on_event=tell,
+        revise=revise,
     )
+    if revise is not None and online:
+        result["offline_last"] = judge(revise.reward, test)
+        result["scenes_last"] = scenes.judge(revise.encoder, revise.experts)
     result |= {
         "curve": [asdict(point) for point in curve.points],
         "success_last_three": curve.last(3),
         "steps": options.steps,
         "triplets": options.triplets,
         "pool": options.pool,
-        "early": options.early,
+        "online": online,
         "schedule": asdict(schedule),
         "sac": asdict(sac),
+        "learning_s": time.monotonic() - begun_s,
         "wall_s": time.monotonic() - began,
         "commit": begun_at,
         "machine": machine(),

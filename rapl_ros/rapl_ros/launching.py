@@ -61,9 +61,9 @@ SETTINGS = {
     "seed": "of everything random",
     "worlds": "worlds simulated side by side",
     "pool_episodes": "videos to collect and rank",
-    "triplets": "rankings of three videos",
-    "online": "alignments while the robot learns, from rankings of its own videos too",
-    "online_triplets": "further rankings for each of them",
+    "triplets": "rankings of three videos in all",
+    "online": "alignments while the robot learns; empty: the preset's own",
+    "online_triplets": "of the rankings, kept for each of them; empty: half of all, shared out",
     "steps": "world steps of learning",
     "evaluate_every": "world steps between two evaluations while learning",
     "final_episodes": "episodes of the evaluation after learning",
@@ -136,7 +136,9 @@ def _chosen(names: str) -> list[NodeEntry] | None:
 
 def _asked(given: Mapping[str, str]) -> dict[str, Any]:
     """The settings that were given, each as what it is."""
-    types = {field.name: type(getattr(_DEFAULT, field.name)) for field in fields(RunConfig)}
+    defaults = {field.name: getattr(_DEFAULT, field.name) for field in fields(RunConfig)}
+    # What has no default of its own is a number.
+    types = {n: int if value is None else type(value) for n, value in defaults.items()}
     asked: dict[str, Any] = {}
     for name in SETTINGS:
         if not given[name]:

@@ -126,7 +126,7 @@ def run_parameters(
         "host": web_host or "127.0.0.1",
         "question": get_task(config.task).title,
         "clock_file": str((folder / "clock_ns").resolve()),
-        "rankings_wanted": config.triplets,
+        "rankings_wanted": config.pool_triplets,
         # People tire and differ: now and then the same again, and what another person has ranked.
         "repeat_share": 0.08 if config.asks_people else 0.0,
         "shared_share": 0.08 if config.asks_people else 0.0,
@@ -145,8 +145,8 @@ def run_parameters(
         "source": "human_reward" if config.reward == "ground_truth" else "embedding",
         # Longer than ot_reward waits for an encoder that has fallen behind.
         "reward_deadline_s": 60.0,
-        "purposes": [*RECORDED, "train"] if config.online else RECORDED,
-        "after_swap": "relabel" if config.online else "empty",
+        "purposes": [*RECORDED, "train"] if config.online_alignments else RECORDED,
+        "after_swap": "relabel" if config.online_alignments else "empty",
         "schedule.random_steps": config.random_steps,
         "schedule.checkpoint_every": config.checkpoint_every,
         "schedule.evaluate_every": config.evaluate_every,

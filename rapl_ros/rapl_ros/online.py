@@ -88,7 +88,7 @@ class OnlineAlignments:
 
     async def _align_once(self) -> bool:
         context = self._context
-        more = context.run.online_triplets
+        more = context.run.online_share
         entry = self._book.begin(self.steps, await given(context) + more)
 
         async def ask_for_more() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from rapl_core.errors import RaplError
+from rapl_core.preferences.own_videos import online_alignments
 from rapl_core.preferences.simulated_human import HumanKnobs
 from rapl_core.preferences.strategies import STRATEGIES
 from rapl_core.preferences.wishes import wish_names
@@ -42,7 +43,6 @@ WEB_HOST = "127.0.0.1"
 QUICK = {
     "pool_episodes": 60,
     "triplets": 40,
-    "online_triplets": 10,
     "steps": 3_000,
     "random_steps": 500,
     "checkpoint_every": 1_000,
@@ -135,19 +135,21 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         "--triplets",
         type=_whole(*RANGES["triplets"]),
         metavar="N",
-        help=f"rankings of three videos ({default.triplets})",
+        help=f"rankings of three videos in all ({default.triplets})",
     )
     parser.add_argument(
         "--online",
         type=_whole(*RANGES["online"]),
         metavar="N",
-        help="alignments while the robot learns, from rankings of its own videos too (0)",
+        help="alignments while the robot learns, from rankings of its own videos too "
+        f"({online_alignments(default.preset)} with rapl or rlhf and preset {default.preset}, "
+        "else 0)",
     )
     parser.add_argument(
         "--online-triplets",
         type=_whole(*RANGES["online_triplets"]),
         metavar="N",
-        help=f"further rankings for each of them ({default.online_triplets})",
+        help="of the rankings, kept for each of them (half of all, shared out)",
     )
     parser.add_argument(
         "--episodes",
@@ -295,7 +297,7 @@ def _given(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _run_name(config: RunConfig) -> str:
     preset = f"-{config.preset}" if config.aligns else ""
-    online = f"-online{config.online}" if config.online else ""
+    online = f"-online{config.online}" if config.online is not None else ""
     return f"{config.reward}{preset}{online}-seed{config.seed}{'-quick' if config.quick else ''}"
 
 

@@ -11,6 +11,7 @@ import yaml
 
 from rapl_core.atomic import write_atomically
 from rapl_core.errors import CorruptFileError, RaplError
+from rapl_core.preferences.own_videos import online_alignments, online_share, online_steps
 from rapl_core.preferences.strategies import strategy_of
 from rapl_core.representations.methods import get_method, method_names
 
@@ -36,6 +37,7 @@ class RunConfig:
     pool_episodes: int = 300
     """Videos in the pool that is ranked."""
     triplets: int = 150
+    """Rankings in all, those about the robot's own videos among them."""
     demonstrations: int = 500
     """Preferred demonstrations, for the methods that learn from them (tcc, tcc_ot)."""
     backbone: str = ""
@@ -45,11 +47,11 @@ class RunConfig:
     tcc_iterations: int = 4_000
     masked_iterations: int = 1_500
     """Of mae_scratch and mvp_finetuned."""
-    online: int = 0
-    """Alignments while the robot learns, at evenly spaced steps, from rankings of its own videos
-    too."""
-    online_triplets: int = 50
-    """Further rankings for each of them."""
+    online: int | None = None
+    """Alignments while the robot learns, from rankings of its own videos too; None: the preset's
+    own."""
+    online_triplets: int | None = None
+    """Of the rankings, kept for each of them; None: half of all, shared out."""
     steps: int = 60_000
     """World steps of learning, all worlds together."""
     random_steps: int = 2_000
@@ -92,16 +94,45 @@ class RunConfig:
         return self.human == "web"
 
     @property
+    def online_alignments(self) -> int:
+        """Alignments while the robot learns."""
+        if self.online is not None:
+            return self.online
+        return online_alignments(self.preset) if self._gains_by_rankings else 0
+
+    @property
+    def online_share(self) -> int:
+        """Rankings kept for each alignment while the robot learns."""
+        if self.online_triplets is not None:
+            return self.online_triplets
+        return online_share(self.triplets, self.online_alignments)
+
+    @property
+    def pool_triplets(self) -> int:
+        """Rankings of videos of the pool, before the robot learns."""
+        return self.triplets - self.online_alignments * self.online_share
+
+    @property
     def online_steps(self) -> list[int]:
         """World steps at which the alignments while learning begin."""
-        return [self.steps * k // (self.online + 1) for k in range(1, self.online + 1)]
+        return online_steps(self.steps, self.online_alignments)
+
+    @property
+    def _gains_by_rankings(self) -> bool:
+        return self._lesson == "rankings" and self.reward_encoder == self.reward
 
     def check_online(self) -> None:
         """
         :raises RaplError: if it is to align while the robot learns and more rankings would not
-            change the reward.
+            change the reward, or none would be left to begin with.
         """
-        if not self.online or (self._lesson == "rankings" and self.reward_encoder == self.reward):
+        if self.pool_triplets < 1:
+            raise RaplError(
+                f"{self.online_alignments} alignments while the robot learns, of "
+                f"{self.online_share} rankings each, leave {self.pool_triplets} of "
+                f"{self.triplets} for the videos before; expected at least 1"
+            )
+        if not self.online or self._gains_by_rankings:
             return
         encoder = f" with encoder '{self.encoder}'" if self.encoder else ""
         known = [name for name in method_names() if get_method(name).lesson == "rankings"]

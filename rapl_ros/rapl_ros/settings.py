@@ -129,6 +129,6 @@ def check_name(name: str, kind: str, known: Iterable[str]) -> None:
 def _check_numbers(config: RunConfig) -> None:
     for name, (least, most) in RANGES.items():
         value = getattr(config, name)
-        if value < least or (most is not None and value > most):
+        if value is not None and (value < least or (most is not None and value > most)):
             allowed = f"{least} to {most}" if most is not None else f"{least} or more"
             raise RaplError(f"{name} is {value}, expected {allowed}")

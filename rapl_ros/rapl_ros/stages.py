@@ -64,7 +64,7 @@ async def collect(context: StageContext) -> Result:
 
 async def rank(context: StageContext) -> Result:
     """Wait until the human, simulated or not, has given the rankings wanted."""
-    return {"rankings": await gather_rankings(context, context.run.triplets)}
+    return {"rankings": await gather_rankings(context, context.run.pool_triplets)}
 
 
 async def demonstrate(context: StageContext) -> Result:
@@ -98,13 +98,13 @@ async def demonstrate(context: StageContext) -> Result:
 
 async def align(context: StageContext) -> Result:
     """Train the encoder from the rankings and put it to work."""
-    return await align_and_swap(context, context.run.triplets)
+    return await align_and_swap(context, context.run.pool_triplets)
 
 
 async def train(context: StageContext) -> Result:
     """Train the policy up to the wanted number of world steps; align again meanwhile, if asked."""
     wanted = context.run.steps
-    online = OnlineAlignments(context) if context.run.online else None
+    online = OnlineAlignments(context) if context.run.online_alignments else None
 
     def show(feedback: Train.Feedback) -> None:
         metrics = feedback.metrics

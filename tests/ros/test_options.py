@@ -43,12 +43,24 @@ def test_quick_is_small_and_its_parts_can_be_overridden(tmp_path: Path) -> None:
     assert config.pool_episodes < RunConfig("x").pool_episodes
 
 
-def test_alignments_while_the_robot_learns_come_at_even_steps(tmp_path: Path) -> None:
-    request = ask(tmp_path, "franka_group", "--online", "3", "--online-triplets", "20")
-    assert request.config.online_steps == [15_000, 30_000, 45_000]
-    assert request.config.online_triplets == 20
-    assert request.folder.name == "rapl-tuned-online3-seed0"
-    assert ask(tmp_path, "franka_group").config.online_steps == []
+def test_alignments_while_the_robot_learns_come_at_even_steps_of_the_first_half(
+    tmp_path: Path,
+) -> None:
+    request = ask(tmp_path, "franka_group", "--online", "2", "--online-triplets", "20")
+    assert request.config.online_steps == [10_000, 20_000]
+    assert (request.config.online_share, request.config.pool_triplets) == (20, 110)
+    assert request.folder.name == "rapl-tuned-online2-seed0"
+
+
+def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_preset_asks_about_them(
+    tmp_path: Path,
+) -> None:
+    config = ask(tmp_path, "franka_group").config
+    assert config.online_steps == [7_500, 15_000, 22_500]
+    assert (config.online_share, config.pool_triplets) == (25, 75)
+    for argv in (["--preset", "paper"], ["--reward", "imagenet"], ["--online", "0"]):
+        config = ask(tmp_path, "franka_group", *argv).config
+        assert (config.online_steps, config.pool_triplets) == ([], 150)
 
 
 @pytest.mark.parametrize(
@@ -70,6 +82,10 @@ def test_alignments_while_the_robot_learns_come_at_even_steps(tmp_path: Path) ->
         (["franka_group", "--online", "1", "--reward", "tcc"], ["'tcc' learns nothing"]),
         (["franka_group", "--online", "1", "--encoder", "imagenet"], ["with encoder 'imagenet'"]),
         (["franka_group", "--online", "many"], ["'many'", "0 to 50"]),
+        (
+            ["franka_group", "--online-triplets", "50"],
+            ["3 alignments", "50 rankings each, leave 0 of 150"],
+        ),
         (["franka_group", "--strategy", "own"], ["unknown query strategy 'own'", "uniform"]),
         (["--resume"], ["needs a run folder or a task"]),
         (["franka_group", "--resume"], ["no unfinished run of franka_group"]),

@@ -45,6 +45,15 @@ class LearningEvent:
     """The training episodes of the round; with pictures if the reward needs them."""
 
 
+@dataclass(frozen=True)
+class Revision:
+    """Another reward while learning goes on; what is held for replay is rewarded again by it."""
+
+    reward: EpisodeReward
+    again: Callable[[str], NDArray[np.float64]]
+    """Its rewards (T,) of an earlier training episode, by id."""
+
+
 def train_in_process(
     task_name: str,
     reward: EpisodeReward,
@@ -57,6 +66,7 @@ def train_in_process(
     score_evaluations: bool = False,
     background: bool = False,
     stop: Callable[[LearningCurve], bool] | None = None,
+    revise: Callable[[LearningEvent], Revision | None] | None = None,
 ) -> LearningCurve:
     """Train a policy and return what its evaluations found.
 
@@ -66,6 +76,8 @@ def train_in_process(
     :param score_evaluations: give evaluation episodes their reward too (costs their pictures).
     :param background: take gradient steps while the worlds go on; the result is the same.
     :param stop: asked after each round whether to end before the last step, e.g. at a plateau.
+    :param revise: asked after each round for another reward to go on with. A run that was revised
+        cannot be resumed: its checkpoints do not hold what the new reward was made of.
     :raises CorruptFileError: if the checkpoint is damaged, or of another config, seed or reward.
     """
     run = _Run(task_name, reward, sac, schedule, seed, folder, score_evaluations, background)
@@ -76,6 +88,9 @@ def train_in_process(
             event = run.round()
             if on_event is not None:
                 on_event(event)
+            revision = revise(event) if revise is not None else None
+            if revision is not None:
+                run.revise(revision)
         return run.curve
     finally:
         run.close()
@@ -172,6 +187,15 @@ class _Run:
         if schedule.checkpoint_due:
             self._save()
         return event
+
+    def revise(self, revision: Revision) -> None:
+        """Go on with another reward: relabel the replay buffer and what is staged for it."""
+        self.reward = revision.reward
+        held = self.learning.trainer.replay.lengths()
+        self.learning.relabel({name: revision.again(name) for name in held})
+        for name in self.learning.stager.rewarded():
+            self.learning.stager.reward(name, True, revision.again(name))
+        self.learning.reward_source = revision.reward.source
 
     def _evaluate(self) -> Evaluation:
         """Episodes with the deterministic policy, from starts that no other evaluation had."""

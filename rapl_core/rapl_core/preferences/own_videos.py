@@ -15,10 +15,28 @@ OWN = "own"
 """Strategy of queries about the learner's own videos."""
 OWN_VIDEOS_FILE = "own_videos.json"
 """In the run folder: up to which stamp an alignment knows the learner's videos."""
-MOST_NEW = 100
-"""Videos asked about at a time; thinned evenly, so that late and early ones are among them."""
+MOST_NEW = 40
+"""Videos asked about at a time, the newest: what the robot makes of the present reward."""
 
 _TRIES = 200
+
+
+def online_alignments(preset: str) -> int:
+    """How often a learner's own videos are asked about unless one says: only ``tuned`` does it."""
+    return 6 if preset == "tuned" else 0
+
+
+def online_steps(steps: int, alignments: int) -> list[int]:
+    """World steps at which alignments begin: evenly in the first two thirds of the learning.
+
+    What the robot makes of a reward shows early, and what it learns after must be worth keeping.
+    """
+    return [2 * steps * k // (3 * (alignments + 1)) for k in range(1, alignments + 1)]
+
+
+def online_share(triplets: int, alignments: int) -> int:
+    """Rankings kept for each of the alignments: half of all, shared out."""
+    return triplets // (2 * alignments) if alignments else 0
 
 
 class OwnVideos:
@@ -47,13 +65,11 @@ class OwnVideos:
         return iter(self._stamps_ns)
 
     def new(self, most: int = MOST_NEW) -> tuple[str, ...]:
-        """The new videos by age, at most so many, evenly from the oldest to the newest."""
+        """The new videos by age, the newest so many."""
         fresh = sorted(
             (stamp, name) for name, stamp in self._stamps_ns.items() if stamp > self._known_ns
         )
-        if len(fresh) > most:
-            fresh = [fresh[int(i)] for i in np.linspace(0, len(fresh) - 1, most).round()]
-        return tuple(name for _, name in fresh)
+        return tuple(name for _, name in fresh[-most:])
 
     @property
     def newest_ns(self) -> int:
