@@ -29,8 +29,8 @@ NAMES = {
     ("imagenet", ""): "raw ImageNet features, OT",
 }
 
-EARLY = ", an early learner's videos too"
-"""Where some of the rankings are about those."""
+ONCE = ", aligned once"
+"""Of a preset that is aligned again while the robot learns, but was not."""
 
 Run = dict[str, Any]
 
@@ -41,8 +41,9 @@ def load(folder: Path = RESULTS) -> dict[str, list[Run]]:
     for path in sorted(folder.glob("*-[0-9]*.json")):
         run = json.loads(path.read_text())
         name = NAMES[run["reward"], run["preset"]]
-        found[name + EARLY if run.get("early") else name].append(run)
-    names = [name + more for name in NAMES.values() for more in ("", EARLY)]
+        is_once = run["preset"] == "tuned" and not run.get("online")
+        found[name + ONCE if is_once else name].append(run)
+    names = [name + more for name in NAMES.values() for more in ("", ONCE)]
     return {name: found[name] for name in names if name in found}
 
 
@@ -62,7 +63,7 @@ def table(runs: dict[str, list[Run]]) -> str:
     ]
     for name, group in runs.items():
         success = mean_and_range([run["success_last_three"] for run in group])
-        offline = [run["offline"] for run in group if "offline" in run]
+        offline = [run.get("offline_last", run["offline"]) for run in group if "offline" in run]
         cells = [
             mean_and_range([o[key] for o in offline]) if offline else "-"
             for key in ("step", "concordance", "episode")

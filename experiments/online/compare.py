@@ -1,13 +1,13 @@
 """Success of a run that was aligned once beside one that was aligned again while the robot learnt.
 
+    ./run_all.sh franka_group --seed 2 --online 0
     ./run_all.sh franka_group --seed 2
-    ./run_all.sh franka_group --seed 2 --online 3
-    python experiments/online/compare.py runs/franka_group/rapl-tuned-seed2 \\
-        runs/franka_group/rapl-tuned-online3-seed2
+    python experiments/online/compare.py runs/franka_group/rapl-tuned-online0-seed2 \\
+        runs/franka_group/rapl-tuned-seed2
 
 Writes ``<task>-seed<seed>.png`` and ``.json`` into ``results`` beside itself. Where a run with
-``--reward ground_truth`` lies beside the first one, its curve is drawn as the oracle. The second
-run has more rankings than the first; how many, the picture says.
+``--reward ground_truth`` lies beside the first one, its curve is drawn as the oracle. Both have
+as many rankings in all, unless people were slower than the robot; how many, the picture says.
 """
 
 import argparse
@@ -54,7 +54,9 @@ def check(offline: dict[str, Any], online: dict[str, Any]) -> None:
     if differing:
         raise RaplError(f"the runs differ in {'; '.join(differing)}")
     if offline.get("online") or not online.get("online"):
-        raise RaplError("expected a run without --online first and one with it second")
+        raise RaplError(
+            "expected a run with --online 0 first and one that was aligned again second"
+        )
 
 
 def named(label: str, curve: LearningCurve, dashed: bool = False) -> NamedCurve:

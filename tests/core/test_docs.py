@@ -99,7 +99,7 @@ def test_the_readme_gives_the_real_defaults() -> None:
     config = ros_module("rapl_ros.run_config").RunConfig("franka_group")
     text = section(README.read_text(), "Options")
     assert f"videos to collect ({config.pool_episodes})" in text
-    assert f"rankings of three ({config.triplets})" in text
+    assert f"rankings of three in all ({config.triplets})" in text
     assert f"of learning ({config.steps:,}), side by side ({config.worlds})" in text
     for words in (f"{config.pool_episodes} videos", f"{config.triplets} rankings"):
         assert words in section(README.read_text(), "Two commands")

@@ -34,6 +34,8 @@ TINY = [
     "720",
     "--worlds",
     str(WORLDS),
+    "--online",
+    "0",
 ]
 RUN_DEADLINE_S = 400.0
 """Of one part of a run; tens of seconds where the tests have the machine to themselves."""

@@ -42,7 +42,17 @@ def test_the_robots_own_videos_are_ranked_and_its_buffer_is_rewarded_by_the_new_
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "run"
-    arguments = [*TINY, "--steps", str(STEPS), "--online", "1", "--online-triplets", "6"]
+    arguments = [
+        *TINY,
+        "--triplets",
+        "18",
+        "--online-triplets",
+        "6",
+        "--steps",
+        str(STEPS),
+        "--online",
+        "1",
+    ]
     run = GraphRun([*arguments, "--out", str(folder)], tmp_path / "log")
     try:
         assert run.process.wait(timeout=900) == 0, run.text()[-3000:]
