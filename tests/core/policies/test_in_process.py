@@ -1,6 +1,6 @@
 """Learning on the real world, without ROS: it follows from its seed, resumed or not."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +9,14 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from rapl_core.errors import CorruptFileError
 from rapl_core.policies import (
+    CheckpointFolder,
     GroundTruthReward,
     LearningCurve,
     SacConfig,
     ScheduleConfig,
     read_checkpoint,
 )
-from rapl_core.policies.in_process import LearningEvent, train_in_process
+from rapl_core.policies.in_process import LearningEvent, Revision, train_in_process
 from rapl_core.policies.rollout import Rollout
 from rapl_core.simulation.simulation import Simulation
 from rapl_core.tasks import get_task
@@ -171,3 +172,28 @@ def test_starts_of_training_and_evaluation_are_disjoint_and_do_not_recur() -> No
             for ended in rollout.run(purpose, number, still, frames=False):
                 starts.add(tuple(ended.episode.states[0].round(9)))
     assert len(starts) == 4 * 3 * 2
+
+
+def test_after_a_revision_all_that_is_held_has_the_new_reward(tmp_path: Path) -> None:
+    doubled = GroundTruthReward(2 * REWARD.source.scale)
+    seen: dict[str, Episode] = {}
+
+    def revise(event: LearningEvent) -> Revision | None:
+        seen.update((episode.episode_id, episode) for episode in event.episodes)
+        wanted = event.steps == 3 * ROUND
+        return Revision(doubled, lambda name: doubled(seen[name])) if wanted else None
+
+    learn(tmp_path, revise=revise)
+    newest = CheckpointFolder(tmp_path / "checkpoints").latest()
+    assert newest is not None
+    parts = read_checkpoint(newest)
+    assert parts["run"].values["reward"] == asdict(doubled.source)
+    rewards = parts["trainer"].arrays["replay.rewards"][:, 0]
+    spans = parts["trainer"].values["replay"]["spans"]
+    numbers = {int(name.split("-")[3]) for name, *_ in spans}
+    assert numbers == {0, 1, 2, 3}, "episodes before and after it"
+    for name, start, steps in spans:
+        expected = doubled(seen[name])
+        np.testing.assert_allclose(rewards[start : start + steps], expected, rtol=1e-6)
+    with pytest.raises(CorruptFileError, match=r"learnt from .*scale=6\.0"):
+        learn(tmp_path, resume=True)
