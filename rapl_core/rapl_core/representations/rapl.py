@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import nn
 
 from rapl_core.representations.alignment import (
     Fit,
@@ -32,31 +31,31 @@ class RaplObjective:
 
     preset: Preset
 
-    def loss(self, head: nn.Module, batch: Batch) -> torch.Tensor:
+    def loss(self, batch: Batch) -> torch.Tensor:
         """Mean loss of a batch: eq. representation_alignment_loss and the preset's own terms."""
-        z = head(batch.videos)  # (3, B, T, D)
-        margin = self._margin(z)  # (B,) log-odds of the order
+        margin = self._margin(batch.videos)  # (B,) log-odds of the order
         if self.preset.likelihood == "log":
             loss = -log_likelihood(margin, batch.mistakes, self.preset.noise).mean()
         else:  # sums of probabilities are bounded as they are
             loss = (1.0 - torch.sigmoid(margin)).mean()
         if self.preset.tie_weight and batch.ties.shape[1]:
-            tied = self._margin(head(batch.ties))
+            tied = self._margin(batch.ties)
             loss = loss + self.preset.tie_weight * (0.5 - torch.sigmoid(tied)).square().mean()
         if self.preset.expert_weight:
             loss = loss + self.preset.expert_weight * self._expert_loss(
-                z, head(batch.experts), batch.mistakes
+                batch.videos, batch.experts, batch.mistakes
             )
         return loss
 
-    def correct(self, head: nn.Module, batch: Batch) -> torch.Tensor:
+    def correct(self, batch: Batch) -> torch.Tensor:
         """(B,) 1 where the middle video is closer to the best than the worst is."""
-        return (self._margin(head(batch.videos)) > 0).float()
+        return (self._margin(batch.videos) > 0).float()
 
     def _margin(self, z: torch.Tensor) -> torch.Tensor:
         """(3, B, T, D) -> (B,) d(best, worst) - d(best, middle) over the temperature."""
-        distances = ot_distance(z[:1], z[1:], self.preset.training)  # (2, B)
-        return (distances[1] - distances[0]) / self.preset.temperature
+        best, others = z.split([1, 2])
+        middle, worst = ot_distance(best, others, self.preset.training)  # (2, B)
+        return (worst - middle) / self.preset.temperature
 
     def _expert_loss(
         self, z: torch.Tensor, experts: torch.Tensor, mistakes: torch.Tensor | None

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import nn
 
 from rapl_core.representations.alignment import (
     Fit,
@@ -31,18 +30,18 @@ class RlhfObjective:
 
     noise: Noise = "plain"
 
-    def loss(self, head: nn.Module, batch: Batch) -> torch.Tensor:
+    def loss(self, batch: Batch) -> torch.Tensor:
         """Mean over triplets of the sum over their pairs."""
-        margins = torch.stack(self._margins(head, batch))  # (3, B)
+        margins = torch.stack(self._margins(batch))  # (3, B)
         return -log_likelihood(margins, batch.mistakes, self.noise).sum(0).mean()
 
-    def correct(self, head: nn.Module, batch: Batch) -> torch.Tensor:
+    def correct(self, batch: Batch) -> torch.Tensor:
         """(B,) share of the three pairs in the right order."""
-        return torch.stack([(m > 0).float() for m in self._margins(head, batch)]).mean(0)
+        return torch.stack([(m > 0).float() for m in self._margins(batch)]).mean(0)
 
-    def _margins(self, head: nn.Module, batch: Batch) -> list[torch.Tensor]:
+    def _margins(self, batch: Batch) -> list[torch.Tensor]:
         """For each pair (B,): the better video's return minus the worse one's."""
-        best, middle, worst = head(batch.videos)[..., 0].sum(-1)  # (3, B)
+        best, middle, worst = batch.videos[..., 0].sum(-1)  # (3, B)
         return [best - middle, middle - worst, best - worst]
 
 

@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -32,18 +32,29 @@ class TiedTriplet:
 
 @dataclass(frozen=True)
 class Batch:
-    """What a loss sees."""
+    """What a loss sees: embeddings."""
 
     videos: torch.Tensor
-    """(3, B, T, K) best, middle and worst video of each triplet."""
+    """(3, B, T, D) best, middle and worst video of each triplet."""
     experts: torch.Tensor
-    """(E, T, K)"""
+    """(E, T', D)"""
     ties: torch.Tensor
-    """(3, B', T, K) best, first and second video of each tied triplet; B' may be 0."""
+    """(3, B', T, D) best, first and second video of each tied triplet; B' may be 0."""
+    slow: torch.Tensor
+    """(2, P, D) two frames of one video, a fixed time apart; P may be 0."""
     mistakes: torch.Tensor | None = None
     """(B,) probability that a comparison of each triplet was answered wrong; None: none was."""
-    slow: torch.Tensor | None = None
-    """(2, P, K) two frames of one video, a fixed time apart."""
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Which frames make a batch, as numbers among the frames of all videos; fields as there."""
+
+    videos: NDArray[np.int64]
+    experts: NDArray[np.int64]
+    ties: NDArray[np.int64]
+    slow: NDArray[np.int64]
+    mistakes: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -63,17 +74,17 @@ class EpochProgress:
 class Objective(Protocol):
     """What is learnt: a loss to lower, and whether each triplet comes out in the right order."""
 
-    def loss(self, head: nn.Module, batch: Batch) -> torch.Tensor:
+    def loss(self, batch: Batch) -> torch.Tensor:
         """Mean loss of a batch, a scalar."""
         ...
 
-    def correct(self, head: nn.Module, batch: Batch) -> torch.Tensor:
+    def correct(self, batch: Batch) -> torch.Tensor:
         """(B,) share of the comparisons of each triplet that come out right."""
         ...
 
 
 class TrainingData:
-    """Videos as one tensor, and the triplets that refer to them."""
+    """Frames of all videos as one matrix, and the triplets that refer to the videos."""
 
     def __init__(
         self,
@@ -91,31 +102,56 @@ class TrainingData:
         :param expert_from: share of the expert videos that is passed over.
         """
         names = sorted(videos)
-        length = frames or min(len(videos[name]) for name in names)
+        self.length = frames or min(len(videos[name]) for name in names)
         row = {name: i for i, name in enumerate(names)}
-        self.videos = torch.stack([_resampled(videos[name], length) for name in names])  # (V, T, K)
+        self.frames = torch.cat([_resampled(videos[n], self.length) for n in names])  # (V T, K)
         self.train = _rows([(t.best, t.middle, t.worst) for t in train], row)  # (M, 3)
         self.held_out = _rows([(t.best, t.middle, t.worst) for t in held_out], row)
         self.train_mistakes, self.held_out_mistakes = _mistakes(train), _mistakes(held_out)  # (M,)
         self.ties = _rows([(t.best, t.first, t.second) for t in ties], row)
-        self.expert_start = min(round(expert_from * length), length - 1)
-        self.experts = torch.tensor([row[name] for name in expert_ids])  # (E,)
+        self.expert_start = min(round(expert_from * self.length), self.length - 1)
+        self.experts = np.array([row[name] for name in expert_ids])  # (E,)
 
-    def batch(
-        self, triplets: torch.Tensor, experts: torch.Tensor, ties: torch.Tensor, start: int = 0
-    ) -> Batch:
-        """Videos of the given rows from frame ``start`` on."""
-        cut = self.videos[:, start:]
-        matched = self.videos[experts, max(start, self.expert_start) :]
-        return Batch(cut[triplets.T], matched, cut[ties.T])
+    def draw(
+        self,
+        triplets: NDArray[np.int64],
+        mistakes: NDArray[np.float32],
+        experts: NDArray[np.int64],
+        ties: NDArray[np.int64],
+        slow: NDArray[np.int64] | None = None,
+        start: int = 0,
+    ) -> Draw:
+        """Videos of the given rows from frame ``start`` on, and pairs of frames."""
+        return Draw(
+            self._frames_of(triplets.T, start),
+            self._frames_of(experts, max(start, self.expert_start)),
+            self._frames_of(ties.T, start),
+            np.empty((2, 0), np.int64) if slow is None else slow,
+            mistakes,
+        )
 
-    def slow(self, pairs: int, lag: float, rng: np.random.Generator) -> torch.Tensor:
-        """(2, P, K) frames of any videos, the later one ``lag`` of the video later."""
-        count, length = self.videos.shape[:2]
-        ahead = min(max(round(lag * length), 1), length - 1)
-        videos = torch.from_numpy(rng.integers(count, size=pairs))
-        earlier = torch.from_numpy(rng.integers(max(length - ahead, 1), size=pairs))
-        return torch.stack([self.videos[videos, t] for t in (earlier, earlier + ahead)])
+    def slow(self, pairs: int, lag: float, rng: np.random.Generator) -> NDArray[np.int64]:
+        """(2, P) frames of any videos, the later one ``lag`` of the video later."""
+        count = len(self.frames) // self.length
+        ahead = min(max(round(lag * self.length), 1), self.length - 1)
+        videos = rng.integers(count, size=pairs)
+        earlier = rng.integers(max(self.length - ahead, 1), size=pairs)
+        return videos * self.length + np.stack([earlier, earlier + ahead])
+
+    def batch(self, head: nn.Module, draw: Draw) -> Batch:
+        """Embed all frames of a draw at once: one product where each part would take its own."""
+        parts = (draw.videos, draw.experts, draw.ties, draw.slow)
+        numbers = torch.from_numpy(np.concatenate([part.ravel() for part in parts]))
+        z = head(self.frames.index_select(0, numbers))  # (N, D)
+        pieces = z.split([part.size for part in parts])
+        videos, experts, ties, slow = (
+            piece.view(*part.shape, z.shape[1]) for piece, part in zip(pieces, parts, strict=True)
+        )
+        return Batch(videos, experts, ties, slow, torch.from_numpy(draw.mistakes))
+
+    def _frames_of(self, videos: NDArray[np.int64], start: int) -> NDArray[np.int64]:
+        """(...) rows of videos -> (..., T) their frames from ``start`` on."""
+        return videos[..., None] * self.length + np.arange(start, self.length)
 
 
 @dataclass(frozen=True)
@@ -141,24 +177,27 @@ def train_head(
     :raises ConvergenceError: if the loss becomes NaN or infinite.
     """
     kind = torch.optim.AdamW if preset.optimiser == "adamw" else torch.optim.Adam
-    optimiser = kind(head.parameters(), lr=preset.learning_rate, weight_decay=preset.weight_decay)
+    optimiser = kind(
+        head.parameters(), preset.learning_rate, weight_decay=preset.weight_decay, fused=True
+    )
     epochs: list[EpochProgress] = []
     best, best_epoch, best_state = math.inf, 0, copy.deepcopy(head.state_dict())
     for epoch in range(1, preset.epochs + 1):
         losses = []
-        for batch in _batches(data, preset, rng):
+        for draw in _draws(data, preset, rng):
             optimiser.zero_grad()
-            loss = objective.loss(head, batch)
-            if batch.slow is not None:
-                loss = loss + preset.slow_weight * slowness(head(batch.slow))
-            if not bool(torch.isfinite(loss)):
+            batch = data.batch(head, draw)
+            loss = objective.loss(batch)
+            if preset.slow_weight:
+                loss = loss + preset.slow_weight * slowness(batch.slow)
+            losses.append(float(loss.detach()))
+            if not math.isfinite(losses[-1]):
                 raise ConvergenceError(
-                    f"the loss became {float(loss.detach())} in epoch {epoch} of preset "
+                    f"the loss became {losses[-1]} in epoch {epoch} of preset "
                     f"{preset.name}; lower learning_rate ({preset.learning_rate})"
                 )
             loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
-            losses.append(float(loss.detach()))
         held_loss, accuracy = _held_out(head, objective, data)
         progress = EpochProgress(epoch, preset.epochs, float(np.mean(losses)), held_loss, accuracy)
         epochs.append(progress)
@@ -179,55 +218,47 @@ def slowness(z: torch.Tensor) -> torch.Tensor:
     Departs from the paper: the arm moves in every frame of every video and earns a reward that
     only rankings with mimes speak against; what is slower is preferred.
     """
-    moved: torch.Tensor = torch.linalg.vector_norm(z[1] - z[0], dim=-1).mean()
-    spread: torch.Tensor = torch.linalg.vector_norm(z[0] - z[0].mean(0), dim=-1).mean()
+    earlier, later = z
+    moved: torch.Tensor = torch.linalg.vector_norm(later - earlier, dim=-1).mean()
+    spread: torch.Tensor = torch.linalg.vector_norm(earlier - earlier.mean(0), dim=-1).mean()
     return moved / spread.clamp_min(1e-6)
 
 
-def _batches(data: TrainingData, preset: Preset, rng: np.random.Generator) -> list[Batch]:
+def _draws(data: TrainingData, preset: Preset, rng: np.random.Generator) -> list[Draw]:
     """One epoch: every triplet once; ties, experts and cuts drawn anew for each batch."""
     count = len(data.train)
-    order = torch.from_numpy(rng.permutation(count))
-    longest = int(preset.longest_cut * data.videos.shape[1])
-    batches = []
-    for rows in order.tensor_split(math.ceil(count / preset.batch_size)):
+    longest = int(preset.longest_cut * data.length)
+    draws = []
+    for rows in np.array_split(rng.permutation(count), math.ceil(count / preset.batch_size)):
         experts = rng.permutation(len(data.experts))[: preset.experts_per_batch]
         ties = rng.permutation(len(data.ties))[: len(rows)]
-        batches.append(
-            replace(
-                data.batch(
-                    data.train[rows],
-                    data.experts[torch.from_numpy(experts)],
-                    data.ties[torch.from_numpy(ties)],
-                    start=int(rng.integers(longest + 1)),
-                ),
-                mistakes=data.train_mistakes[rows],
-                slow=data.slow(SLOW_PAIRS, preset.slow_lag, rng) if preset.slow_weight else None,
-            )
-        )
-    return batches
+        start = int(rng.integers(longest + 1))
+        slow = data.slow(SLOW_PAIRS, preset.slow_lag, rng) if preset.slow_weight else None
+        chosen = (data.train[rows], data.train_mistakes[rows], data.experts[experts])
+        draws.append(data.draw(*chosen, data.ties[ties], slow, start))
+    return draws
 
 
 def _held_out(head: nn.Module, objective: Objective, data: TrainingData) -> tuple[float, float]:
     if not len(data.held_out):
         return math.nan, math.nan
-    batch = replace(
-        data.batch(data.held_out, data.experts, data.ties[:0]), mistakes=data.held_out_mistakes
-    )
     with torch.no_grad():
-        loss = float(objective.loss(head, batch))
-        return loss, float(objective.correct(head, batch).mean())
+        batch = data.batch(
+            head,
+            data.draw(data.held_out, data.held_out_mistakes, data.experts, data.ties[:0]),
+        )
+        return float(objective.loss(batch)), float(objective.correct(batch).mean())
 
 
-def _rows(names: Sequence[tuple[str, str, str]], row: Mapping[str, int]) -> torch.Tensor:
+def _rows(names: Sequence[tuple[str, str, str]], row: Mapping[str, int]) -> NDArray[np.int64]:
     rows = [[row[name] for name in triplet] for triplet in names]
-    return torch.tensor(rows, dtype=torch.int64).reshape(-1, 3)
+    return np.array(rows, np.int64).reshape(-1, 3)
 
 
-def _mistakes(triplets: Sequence[Triplet]) -> torch.Tensor:
+def _mistakes(triplets: Sequence[Triplet]) -> NDArray[np.float32]:
     """(M,) those of :class:`DoubtedTriplet`; 0 of the others."""
     rates = [t.mistakes if isinstance(t, DoubtedTriplet) else 0.0 for t in triplets]
-    return torch.tensor(rates, dtype=torch.float32)
+    return np.array(rates, np.float32)
 
 
 def _resampled(video: NDArray[np.float32], length: int) -> torch.Tensor:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from squares import SMALL
-from torch import nn
 
 from rapl_core.errors import ConvergenceError, RankingError, ShapeError
 from rapl_core.representations.alignment import Lesson
@@ -26,6 +25,7 @@ def random_batch(ties: int = 0) -> Batch:
         videos=torch.randn(3, 4, 6, 5, generator=generator),
         experts=torch.randn(2, 6, 5, generator=generator),
         ties=torch.randn(3, ties, 6, 5, generator=generator),
+        slow=torch.empty(2, 0, 5),
     )
 
 
@@ -39,14 +39,14 @@ def probability(batch: torch.Tensor, index: int, preset) -> float:
 def test_the_loss_of_the_paper_is_its_equation():
     batch = random_batch()
     expected = np.mean([-log(probability(batch.videos, i, PAPER)) for i in range(4)])
-    assert float(RaplObjective(PAPER).loss(nn.Identity(), batch)) == pytest.approx(expected, 1e-4)
+    assert float(RaplObjective(PAPER).loss(batch)) == pytest.approx(expected, 1e-4)
 
 
 def test_the_loss_of_the_authors_code_adds_equal_rankings():
     batch = random_batch(ties=2)
     expected = np.mean([1 - probability(batch.videos, i, AUTHORS_CODE) for i in range(4)])
     expected += np.mean([(0.5 - probability(batch.ties, i, AUTHORS_CODE)) ** 2 for i in range(2)])
-    loss = RaplObjective(AUTHORS_CODE).loss(nn.Identity(), batch)
+    loss = RaplObjective(AUTHORS_CODE).loss(batch)
     assert float(loss) == pytest.approx(expected, 1e-4)
 
 
@@ -58,7 +58,7 @@ def test_the_tuned_loss_adds_all_pairs_anchored_at_experts():
             -float(torch.cdist(video[None], batch.experts).mean()) for video in batch.videos[:, i]
         )
         expected += sum(log(1 + exp(-(x - y))) for x, y in ((a, b), (b, c), (a, c))) / 4
-    assert float(RaplObjective(TUNED).loss(nn.Identity(), batch)) == pytest.approx(expected, 1e-5)
+    assert float(RaplObjective(TUNED).loss(batch)) == pytest.approx(expected, 1e-5)
 
 
 @pytest.mark.parametrize("preset", [PAPER, AUTHORS_CODE, TUNED], ids=lambda p: p.name)
@@ -168,10 +168,25 @@ def test_bad_input_is_refused_by_name(features, pool):
 def test_slow_pairs_are_frames_of_one_video_a_fixed_time_apart():
     videos = {n: np.arange(24, dtype=np.float32)[:, None] + 100 * i for i, n in enumerate("abc")}
     data = TrainingData(videos, [], [], ["a"], [], None)
-    earlier, later = data.slow(300, 1 / 12, np.random.default_rng(0)).squeeze(-1).numpy()
+    numbers = data.slow(300, 1 / 12, np.random.default_rng(0))
+    earlier, later = data.frames[torch.from_numpy(numbers)].squeeze(-1).numpy()
     assert set(np.unique(earlier // 100)) == {0, 1, 2}, "of any video, not of experts alone"
     assert np.array_equal(earlier // 100, later // 100), "of one video"
     assert np.all(later - earlier == 2)
+
+
+def test_a_batch_is_what_each_video_shows_from_a_frame_on_and_the_last_part_of_experts():
+    videos = {n: np.arange(24, dtype=np.float32)[:, None] + 100 * i for i, n in enumerate("abcd")}
+    triplets, ties = [Triplet("a", "b", "c"), Triplet("d", "c", "b")], [TiedTriplet("b", "d", "a")]
+    data = TrainingData(videos, triplets, [], ["d", "a"], ties, None, expert_from=0.5)
+    drawn = data.draw(data.train, data.train_mistakes, data.experts, data.ties, start=9)
+    batch = data.batch(torch.nn.Identity(), drawn)
+    shown = torch.arange(9.0, 24)[:, None]
+    rows = torch.tensor([[0, 3], [1, 2], [2, 1]])[..., None, None]
+    assert torch.equal(batch.videos, 100 * rows + shown)  # (3, 2, 15, 1)
+    assert torch.equal(batch.ties, 100 * torch.tensor([1, 3, 0])[:, None, None, None] + shown)
+    assert torch.equal(batch.experts, 100 * torch.tensor([3, 0])[:, None, None] + shown[3:])
+    assert batch.slow.shape == (2, 0, 1)
 
 
 def test_slowness_is_how_far_things_move_over_how_far_they_lie_apart():

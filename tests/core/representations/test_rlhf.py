@@ -5,7 +5,6 @@ from math import exp, log
 import numpy as np
 import pytest
 import torch
-from torch import nn
 
 from rapl_core.representations.report import wilson_interval
 from rapl_core.representations.rlhf import RlhfObjective
@@ -14,12 +13,12 @@ from rapl_core.representations.training import Batch
 
 def test_the_loss_is_bradley_terry_over_all_three_pairs():
     videos = torch.randn(3, 4, 6, 1, generator=torch.Generator().manual_seed(0))
-    batch = Batch(videos, videos[:0, 0], videos[:, :0])
+    batch = Batch(videos, videos[:0, 0], videos[:, :0], videos[:2, 0, :0])
     returns = videos.double().sum((2, 3)).numpy()
     expected = np.mean(
         [sum(log(1 + exp(-(x - y))) for x, y in ((a, b), (b, c), (a, c))) for a, b, c in returns.T]
     )
-    assert float(RlhfObjective().loss(nn.Identity(), batch)) == pytest.approx(expected, 1e-5)
+    assert float(RlhfObjective().loss(batch)) == pytest.approx(expected, 1e-5)
 
 
 def test_learnt_rewards_order_unseen_videos_better_than_chance(rlhf, unseen):
