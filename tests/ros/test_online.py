@@ -25,9 +25,7 @@ from rapl_ros.stage_context import StageContext
 
 pytestmark = pytest.mark.ros
 
-RUN = RunConfig(
-    "franka_group", triplets=24, steps=1800, online=2, online_triplets=6, preset="paper"
-)
+RUN = RunConfig("franka_group", triplets=24, steps=900, online=2, online_triplets=6, preset="paper")
 SETTABLE = {
     topics.PREFERENCE: {"rankings_wanted": 0, "strategy": "uniform"},
     topics.SIMULATED_HUMAN: {"rankings": 0},

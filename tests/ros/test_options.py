@@ -43,11 +43,11 @@ def test_quick_is_small_and_its_parts_can_be_overridden(tmp_path: Path) -> None:
     assert config.pool_episodes < RunConfig("x").pool_episodes
 
 
-def test_alignments_while_the_robot_learns_come_at_even_steps_of_the_first_half(
+def test_alignments_while_the_robot_learns_come_at_even_steps(
     tmp_path: Path,
 ) -> None:
     request = ask(tmp_path, "franka_group", "--online", "2", "--online-triplets", "20")
-    assert request.config.online_steps == [10_000, 20_000]
+    assert request.config.online_steps == [20_000, 40_000]
     assert (request.config.online_share, request.config.pool_triplets) == (20, 110)
     assert request.folder.name == "rapl-tuned-online2-seed0"
 
@@ -56,8 +56,8 @@ def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_prese
     tmp_path: Path,
 ) -> None:
     config = ask(tmp_path, "franka_group").config
-    assert config.online_steps == [7_500, 15_000, 22_500]
-    assert (config.online_share, config.pool_triplets) == (25, 75)
+    assert config.online_steps == list(range(6_000, 60_000, 6_000))
+    assert (config.online_share, config.pool_triplets) == (8, 78)
     for argv in (["--preset", "paper"], ["--reward", "imagenet"], ["--online", "0"]):
         config = ask(tmp_path, "franka_group", *argv).config
         assert (config.online_steps, config.pool_triplets) == ([], 150)
@@ -84,7 +84,7 @@ def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_prese
         (["franka_group", "--online", "many"], ["'many'", "0 to 50"]),
         (
             ["franka_group", "--online-triplets", "50"],
-            ["3 alignments", "50 rankings each, leave 0 of 150"],
+            ["9 alignments", "50 rankings each, leave -300 of 150"],
         ),
         (["franka_group", "--strategy", "own"], ["unknown query strategy 'own'", "uniform"]),
         (["--resume"], ["needs a run folder or a task"]),

@@ -59,7 +59,7 @@ def test_the_robots_own_videos_are_ranked_and_its_buffer_is_rewarded_by_the_new_
     finally:
         run.close()
     [entry] = read_online(folder)
-    assert entry.asked_steps >= STEPS // 4 and STEPS // 4 <= entry.steps <= STEPS + 240
+    assert entry.asked_steps >= STEPS // 2 and STEPS // 2 <= entry.steps <= STEPS + 240
     assert entry.rankings == entry.wanted == 18
     with RankingStore(folder / "rankings.sqlite") as rankings:
         late = rankings.all()[12:]
