@@ -224,7 +224,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, help="JSON file of results")
     options = parser.parse_args(arguments)
     get_task(options.task)
-    config = RunConfig(task=options.task, reward=options.reward, worlds=options.worlds)
+    config = RunConfig(task=options.task, reward=options.reward, worlds=options.worlds, online=0)
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.folder or Path(scratch)
         environment = graph_environment(Path(scratch))

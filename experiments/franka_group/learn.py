@@ -6,7 +6,8 @@ One call is one reward and one seed; ``summarise.py`` makes the table and the pi
     python experiments/franka_group/learn.py --reward ground_truth --seed 0
 
 Seed s gives the pool, the queries, the alignment and the learner their seeds. Without ROS: a test
-shows that the graph learns the same (tests/ros/test_learner_node.py). Goes on where it was cut.
+shows that the graph learns the same (tests/ros/test_learner_node.py). Goes on where it was cut, but
+for a run that is aligned again meanwhile, which begins anew.
 """
 
 import argparse
@@ -111,7 +112,7 @@ def judge(reward: EpisodeReward, test: list[Episode]) -> dict[str, float]:
 
 
 def main() -> None:
-    """Run one reward and seed and write ``results/<reward>-<preset>-<seed>.json``."""
+    """Run one reward and seed and write ``results/<reward>-<preset>-online<N>-<seed>.json``."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--reward", default="rapl", choices=["rapl", "rlhf", "imagenet", "ground_truth"]
@@ -135,7 +136,7 @@ def main() -> None:
     online = online_alignments(options.preset) if options.online is None else options.online
     online = online if is_preset else 0
     own = online_share(options.triplets, online)
-    parts += [f"online{online}"] if options.online is not None else []
+    parts += [f"online{online}"] if online else []
     name = "-".join([*parts, str(options.seed)])
     folder = options.work / name
     folder.mkdir(parents=True, exist_ok=True)

@@ -126,8 +126,10 @@ class OnlineAlignment:
 
     def __call__(self, event: LearningEvent) -> Revision | None:
         """After each round of episodes: at a mark, ask, align and give the new reward."""
-        self._new.extend(event.episodes)
-        if not self.marks or event.steps < self.marks[0]:
+        if not self.marks:
+            return None
+        self._new = [*self._new, *event.episodes][-MOST_NEW:]
+        if event.steps < self.marks[0]:
             return None
         self.marks = self.marks[1:]
         self._ask()
@@ -138,7 +140,7 @@ class OnlineAlignment:
 
     def _ask(self) -> None:
         """Rankings about the learner's new videos, each query with one of the expert set."""
-        shown = {video.episode_id: video for video in self._new[-MOST_NEW:]}
+        shown = {video.episode_id: video for video in self._new}
         there = {video.episode_id: video for video in self.videos} | shown
         queries = OwnQueries(self._rng, list(shown), expert_set(self.rankings, 10))
         asked: dict[str, Episode] = {}

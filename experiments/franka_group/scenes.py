@@ -3,6 +3,7 @@
 No video of the pool shows most of them; the robot, which tries everything, meets them all.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,7 +93,7 @@ class Scenes:
         kept = work / f"scenes-{RANDOM_SCENES}.npz"
         if not kept.is_file():
             frames, human = _draw()
-            beside = kept.with_suffix(".new.npz")
+            beside = kept.with_suffix(f".{os.getpid()}.npz")
             np.savez(beside, frames=frames, human=human)
             beside.replace(kept)
         with np.load(kept) as content:

@@ -21,16 +21,13 @@ RESULTS = HERE / "results"
 README = HERE.parents[1] / "README.md"
 MARKS = ("<!-- results:start -->", "<!-- results:end -->")
 NAMES = {
-    ("ground_truth", ""): "ground truth (oracle)",
-    ("rapl", "tuned"): "RAPL, tuned",
-    ("rapl", "paper"): "RAPL, paper",
-    ("rapl", "authors_code"): "RAPL, authors' code",
-    ("rlhf", "tuned"): "RLHF, tuned",
+    ("ground_truth", ""): "ground truth, the oracle",
+    ("rapl", "tuned"): "RAPL tuned",
+    ("rapl", "paper"): "RAPL paper",
+    ("rapl", "authors_code"): "RAPL authors' code",
+    ("rlhf", "tuned"): "RLHF tuned",
     ("imagenet", ""): "raw ImageNet features, OT",
 }
-
-ONCE = ", aligned once"
-"""Of a preset that is aligned again while the robot learns, but was not."""
 
 Run = dict[str, Any]
 
@@ -40,11 +37,16 @@ def load(folder: Path = RESULTS) -> dict[str, list[Run]]:
     found: dict[str, list[Run]] = defaultdict(list)
     for path in sorted(folder.glob("*-[0-9]*.json")):
         run = json.loads(path.read_text())
-        name = NAMES[run["reward"], run["preset"]]
-        is_once = run["preset"] == "tuned" and not run.get("online")
-        found[name + ONCE if is_once else name].append(run)
-    names = [name + more for name in NAMES.values() for more in ("", ONCE)]
-    return {name: found[name] for name in names if name in found}
+        found[_label(run)].append(run)
+    order = [*NAMES.values()]
+    return dict(sorted(found.items(), key=lambda one: order.index(one[0].split(" (")[0])))
+
+
+def _label(run: Run) -> str:
+    name, rounds = NAMES[run["reward"], run["preset"]], run.get("online", 0)
+    if rounds:
+        return f"{name} ({rounds} rounds while it learns)"
+    return f"{name} (aligned once)" if run["preset"] == "tuned" else name
 
 
 def mean_and_range(values: list[float], digits: int = 2) -> str:

@@ -5,9 +5,9 @@
     python experiments/online/compare.py runs/franka_group/rapl-tuned-online0-seed2 \\
         runs/franka_group/rapl-tuned-seed2
 
-Writes ``<task>-seed<seed>.png`` and ``.json`` into ``results`` beside itself. Where a run with
-``--reward ground_truth`` lies beside the first one, its curve is drawn as the oracle. Both have
-as many rankings in all, unless people were slower than the robot; how many, the picture says.
+Writes ``<task>-online<N>-seed<seed>.png`` and ``.json`` into ``results`` beside itself. Where a
+run with ``--reward ground_truth`` lies beside the first one, its curve is drawn as the oracle. Both
+have as many rankings in all, unless people were slower than the robot; the picture says how many.
 """
 
 import argparse
@@ -116,7 +116,8 @@ def main() -> None:
     title = f"{settings['task']}, {settings['reward']} {settings['preset']}, seed"
     axes.set_title(f"{title} {settings['seed']}", fontsize=10)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    stem = arguments.out / f"{settings['task']}-seed{settings['seed']}"
+    rounds = len(online["online"])
+    stem = arguments.out / f"{settings['task']}-online{rounds}-seed{settings['seed']}"
     figure.savefig(stem.with_suffix(".png"), dpi=130)
     plt.close(figure)
     kept = {"settings": {name: settings[name] for name in SAME}, **found}

@@ -59,7 +59,7 @@ class OnlineAlignments:
     async def _work(self) -> None:
         try:
             for mark in self._context.run.online_steps[self._book.done :]:
-                while self.steps < mark and self._book.under_way is None:
+                while self._book.under_way is None and (self.steps < mark or self._over):
                     if self._over:
                         return
                     await pause(self._context.node, LOOK_S)
@@ -92,12 +92,15 @@ class OnlineAlignments:
         entry = self._book.begin(self.steps, await given(context) + more)
 
         async def ask_for_more() -> None:
-            await self._preference.set("rankings_wanted", entry.wanted, PARAMETER_DEADLINE_S)
+            # In this order, or people who wait would be asked about the pool once more.
             await self._preference.set("strategy", OWN, PARAMETER_DEADLINE_S)
+            await self._preference.set("rankings_wanted", entry.wanted, PARAMETER_DEADLINE_S)
 
         rankings = await gather_rankings(
             context, entry.wanted, ask_for_more, lambda: self._over, "asks about its own videos"
         )
+        if rankings < entry.wanted:
+            await self._want_no_more(rankings)
         await self._preference.set("strategy", context.run.query_strategy, PARAMETER_DEADLINE_S)
         if rankings < entry.wanted:
             return False
@@ -109,6 +112,12 @@ class OnlineAlignments:
             f"after {steps} steps the encoder is {result['version']}, from {rankings} rankings"
         )
         return True
+
+    async def _want_no_more(self, given: int) -> None:
+        """Else the others would be given about the pool, when the robot's videos are over."""
+        await self._preference.set("rankings_wanted", given, PARAMETER_DEADLINE_S)
+        if not self._context.run.asks_people:
+            await self._context.human.set("rankings", given, PARAMETER_DEADLINE_S)
 
     def _show(self, done: int, total: int, unit: str, detail: str = "") -> None:
         words = "aligns again" if unit == "epochs" else detail

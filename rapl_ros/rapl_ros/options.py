@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -297,7 +297,8 @@ def _given(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _run_name(config: RunConfig) -> str:
     preset = f"-{config.preset}" if config.aligns else ""
-    online = f"-online{config.online}" if config.online is not None else ""
+    own = replace(config, online=None).online_alignments
+    online = f"-online{config.online}" if config.online != own else ""
     return f"{config.reward}{preset}{online}-seed{config.seed}{'-quick' if config.quick else ''}"
 
 

@@ -98,7 +98,9 @@ class RunConfig:
         """Alignments while the robot learns."""
         if self.online is not None:
             return self.online
-        return online_alignments(self.preset) if self._gains_by_rankings else 0
+        wanted = online_alignments(self.preset)
+        is_apt = self._gains_by_rankings and self.groups == 1
+        return wanted if is_apt and online_share(self.triplets, wanted) else 0
 
     @property
     def online_share(self) -> int:
@@ -115,7 +117,7 @@ class RunConfig:
     @property
     def online_steps(self) -> list[int]:
         """World steps at which the alignments while learning begin."""
-        return online_steps(self.steps, self.online_alignments)
+        return online_steps(self.steps, self.online_alignments, self.random_steps)
 
     @property
     def _gains_by_rankings(self) -> bool:
@@ -126,13 +128,25 @@ class RunConfig:
         :raises RaplError: if it is to align while the robot learns and more rankings would not
             change the reward, or none would be left to begin with.
         """
-        if self.pool_triplets < 1:
+        if not self.online_alignments:
+            if self.online_triplets:
+                raise RaplError(
+                    "--online-triplets: this run is not aligned while the robot learns, so it "
+                    "keeps no rankings for it; see --online"
+                )
+            return
+        if self.online_share < 1 or self.pool_triplets < 1:
             raise RaplError(
                 f"{self.online_alignments} alignments while the robot learns, of "
                 f"{self.online_share} rankings each, leave {self.pool_triplets} of "
                 f"{self.triplets} for the videos before; expected at least 1"
             )
-        if not self.online or self._gains_by_rankings:
+        if self.groups != 1:
+            raise RaplError(
+                f"--online with --groups {self.groups}: from one alignment to the next another "
+                "group could be the largest, and the robot would learn what it wants"
+            )
+        if self._gains_by_rankings:
             return
         encoder = f" with encoder '{self.encoder}'" if self.encoder else ""
         known = [name for name in method_names() if get_method(name).lesson == "rankings"]
@@ -179,7 +193,9 @@ def load_config(folder: Path) -> RunConfig:
     """
     path = folder / CONFIG_FILE
     try:
-        return RunConfig(**yaml.safe_load(path.read_text())["run"])
+        values = yaml.safe_load(path.read_text())["run"]
+        # A run from before there were alignments while the robot learns.
+        return RunConfig(**{"online": 0, **values})
     except FileNotFoundError as error:
         raise CorruptFileError(f"{folder} holds no run: {CONFIG_FILE} is missing") from error
     except (OSError, yaml.YAMLError, TypeError, KeyError) as error:

@@ -49,7 +49,7 @@ RANGES: Final[Mapping[str, tuple[int, int | None]]] = {
     "demonstrations": (2, None),
     "groups": (0, 4),
     "online": (0, 50),
-    "online_triplets": (1, None),
+    "online_triplets": (0, None),
     "steps": (1, None),
     "random_steps": (0, None),
     "checkpoint_every": (0, None),
@@ -95,7 +95,13 @@ def checked(config: RunConfig, tasks: Sequence[str]) -> RunConfig:
         from rapl_core.representations import encoder_names  # imports torch: seconds
 
         check_name(config.encoder, "encoder", encoder_names())
-    return replace(config, random_steps=min(config.random_steps, config.steps // 4))
+    return replace(
+        config,
+        random_steps=min(config.random_steps, config.steps // 4),
+        # As resolved: what a preset does may change, what a run does must not.
+        online=config.online_alignments,
+        online_triplets=config.online_share,
+    )
 
 
 def continued(config: RunConfig, asked: Mapping[str, Any], folder: Path) -> RunConfig:
@@ -114,6 +120,7 @@ def continued(config: RunConfig, asked: Mapping[str, Any], folder: Path) -> RunC
     config = replace(config, **{name: asked[name] for name in CHANGEABLE if name in asked})
     _check_numbers(config)
     check_name(config.human, "human", HUMANS)
+    config.check_online()
     return config
 
 

@@ -133,7 +133,11 @@ async def train(context: StageContext) -> Result:
         "policy_id": result.policy_id,
     }
     if online is not None:
-        found |= {"online_alignments": online.done, "online_problem": online.problem}
+        found |= {
+            "online_alignments": online.done,
+            "online_wanted": context.run.online_alignments,
+            "online_problem": online.problem,
+        }
     return found
 
 
@@ -211,7 +215,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         "train",
         train,
-        lambda r: f"{r['updates']} gradient steps, {r['episodes']} episodes",
+        lambda r: f"{r['updates']} gradient steps, {r['episodes']} episodes" + _online_words(r),
         is_stale=lambda run, result: result["steps"] < run.steps,
     ),
     Stage("evaluate", evaluate, lambda r: f"success {r['success_rate']:.0%}"),
@@ -234,6 +238,11 @@ def _next_number(episode_ids: Sequence[str]) -> int:
     """Beyond every number within its world; videos that others have brought have none."""
     found = (re.fullmatch(r"\w+-s\d+-w\d+-(\d+)-\w+", name) for name in episode_ids)
     return max((int(match[1]) for match in found if match), default=-1) + 1
+
+
+def _online_words(result: Result) -> str:
+    done, wanted = result.get("online_alignments"), result.get("online_wanted")
+    return "" if done is None else f", aligned again {done} of {wanted} times"
 
 
 def _accuracy_words(accuracy: float) -> str:

@@ -25,7 +25,15 @@ from rapl_ros.stage_context import StageContext
 
 pytestmark = pytest.mark.ros
 
-RUN = RunConfig("franka_group", triplets=24, steps=900, online=2, online_triplets=6, preset="paper")
+RUN = RunConfig(
+    "franka_group",
+    triplets=24,
+    steps=900,
+    random_steps=100,
+    online=2,
+    online_triplets=6,
+    preset="paper",
+)
 SETTABLE = {
     topics.PREFERENCE: {"rankings_wanted": 0, "strategy": "uniform"},
     topics.SIMULATED_HUMAN: {"rankings": 0},
@@ -117,8 +125,8 @@ def test_each_time_it_asks_about_own_videos_aligns_all_and_swaps(stage: Stage) -
     stage.alignments.steps = 310
     stage.until_done(1)
     first = [
-        ("rankings_wanted", 18),
         ("strategy", "own"),
+        ("rankings_wanted", 18),
         ("rankings", 18),
         ("strategy", "uniform"),
         ("align", ("rapl", "paper", 0)),
@@ -175,3 +183,24 @@ def test_an_alignment_that_fails_is_tried_again_and_given_up_in_the_end(
     assert stage.alignments.done == 1
     assert len([what for what, _ in stage.done if what == "align"]) == 2 + online.ATTEMPTS
     stage.finish()
+
+
+def test_no_round_begins_when_the_training_is_over_and_none_is_asked_for_after_it(
+    stage: Stage,
+) -> None:
+    stage.is_slow = True
+    stage.alignments.begin()
+    stage.alignments.steps = 400
+    stage.probe.until(lambda: ("rankings", 18) in stage.done, DISCOVERY_S, "it asks")
+    stage.alignments.steps = 900
+    stage.finish()
+    asked = {what: value for what, value in stage.done}
+    assert (asked["rankings_wanted"], asked["rankings"]) == (12, 12), "taken back"
+    assert len(read_online(stage.folder)) == 1, "the round at 600 steps has not begun"
+
+    stage.done.clear()
+    stage.alignments = OnlineAlignments(stage.context)
+    stage.alignments.steps = 900
+    finished = stage.probe.executor.create_task(stage.alignments.end)
+    stage.probe.wait(finished, DISCOVERY_S, "it ends")
+    assert stage.done == []

@@ -25,7 +25,7 @@ def refusal(capsys: pytest.CaptureFixture[str], runs: Path, *argv: str) -> str:
 
 def test_a_task_alone_gives_the_documented_defaults(tmp_path: Path) -> None:
     request = ask(tmp_path, "franka_group")
-    assert request.config == RunConfig("franka_group")
+    assert request.config == RunConfig("franka_group", online=9, online_triplets=8)
     assert (request.config.steps, request.config.triplets, request.config.worlds) == (60000, 150, 4)
     assert request.folder == tmp_path / "franka_group" / "rapl-tuned-seed0"
     assert not request.resume
@@ -60,7 +60,9 @@ def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_prese
     assert (config.online_share, config.pool_triplets) == (8, 78)
     for argv in (["--preset", "paper"], ["--reward", "imagenet"], ["--online", "0"]):
         config = ask(tmp_path, "franka_group", *argv).config
-        assert (config.online_steps, config.pool_triplets) == ([], 150)
+        assert (config.online, config.online_steps, config.pool_triplets) == (0, [], 150)
+    assert ask(tmp_path, "franka_group", "--groups", "2").config.online == 0
+    assert ask(tmp_path, "franka_group", "--triplets", "12").config.online == 0, "none to spare"
 
 
 @pytest.mark.parametrize(
@@ -86,6 +88,9 @@ def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_prese
             ["franka_group", "--online-triplets", "50"],
             ["9 alignments", "50 rankings each, leave -300 of 150"],
         ),
+        (["franka_group", "--online", "9", "--triplets", "9"], ["of 0 rankings each"]),
+        (["franka_group", "--online", "2", "--groups", "2"], ["--groups 2", "another group"]),
+        (["franka_group", "--online-triplets", "9", "--reward", "imagenet"], ["keeps no rankings"]),
         (["franka_group", "--strategy", "own"], ["unknown query strategy 'own'", "uniform"]),
         (["--resume"], ["needs a run folder or a task"]),
         (["franka_group", "--resume"], ["no unfinished run of franka_group"]),

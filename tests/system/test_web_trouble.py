@@ -268,7 +268,7 @@ def test_when_there_are_enough_the_page_says_so_and_fetches_no_more_ahead(
             videos = (f"secret-{number % 20:03d}", "secret-030", "secret-031")
             store.add(Ranking(f"crowd-{number}", "crowd", videos, (1, 2, 3)))
     rank(page)
-    assert page.inner_text("#standing-more") == "· Enough, thank you."
+    assert page.inner_text("#standing-more") == "· Enough for now, thank you."
     rank(page)  # what was fetched ahead before
     asked = []
     page.on("request", lambda request: asked.append(request.url))

@@ -26,9 +26,13 @@ def online_alignments(preset: str) -> int:
     return 9 if preset == "tuned" else 0
 
 
-def online_steps(steps: int, alignments: int) -> list[int]:
-    """World steps at which alignments begin: evenly from the first steps to the last."""
-    return [steps * k // (alignments + 1) for k in range(1, alignments + 1)]
+def online_steps(steps: int, alignments: int, random_steps: int = 0) -> list[int]:
+    """World steps at which alignments begin: evenly from the first steps to the last.
+
+    :param random_steps: while the robot acts at random there is nothing to ask about.
+    """
+    even = [steps * k // (alignments + 1) for k in range(1, alignments + 1)]
+    return [max(mark, random_steps) for mark in even]
 
 
 def online_share(triplets: int, alignments: int) -> int:

@@ -19,6 +19,7 @@ const SAVING_SHOWN_MS = 120; // sooner it would only flicker
 const LOADING_SHOWN_MS = 250;
 const PASSED_OVER = 4; // queries whose videos cannot be read
 const REFRESH_EVERY = 10; // answers
+const ENOUGH_LOOK_MS = 5000; // whether there is more to rank again
 const byId = (id) => document.getElementById(id);
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
@@ -357,6 +358,8 @@ function start() {
     changeSpeed: (by) => playing.changeSpeed(by),
     help: openHelp,
   });
+  // Enough for now is not enough for good: more is asked about what the robot then does.
+  setInterval(() => standing.enough && !document.hidden && standing.refresh(), ENOUGH_LOOK_MS);
   if (!settings.name) return askName();
   showName();
   advance();

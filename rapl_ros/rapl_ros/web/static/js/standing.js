@@ -13,7 +13,7 @@ export const standing = {
     this.enough = wanted > 0 && needed === 0;
     byId("standing").hidden = false;
     byId("standing-count").textContent = needed ? `${given} of ${wanted}` : `${given} ranked`;
-    byId("standing-more").textContent = needed ? `· ${needed} still needed` : wanted ? "· Enough, thank you." : "";
+    byId("standing-more").textContent = needed ? `· ${needed} still needed` : wanted ? "· Enough for now, thank you." : "";
     byId("standing-bar").hidden = !wanted;
     if (wanted) byId("standing-bar").value = Math.min(1, given / wanted);
   },
