@@ -87,7 +87,7 @@ def test_a_folder_that_holds_a_run_is_continued_with_its_settings(tmp_path: Path
         plan(given(tmp_path, reward="rapl"))
     plan(given(tmp_path, steps="70000"))
     assert load_config(tmp_path) == RunConfig(
-        "franka_group", worlds=2, reward="imagenet", steps=70_000
+        "franka_group", worlds=2, reward="imagenet", steps=70_000, online=0, online_triplets=0
     )
 
 
