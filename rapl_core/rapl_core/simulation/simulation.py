@@ -63,6 +63,8 @@ class Simulation:
         spec = task.build_spec()
         if not full_meshes:
             decimate_visuals(spec, VISUAL_GROUP, task.visual_triangles)
+        # the buffer is cleared and resolved whole: MuJoCo's own size is 640 x 480
+        spec.visual.global_.offwidth = spec.visual.global_.offheight = task.image_size
         self.model = spec.compile()
         self.data = [mujoco.MjData(self.model) for _ in range(worlds)]
         self.dynamics = task.bind(self.model)

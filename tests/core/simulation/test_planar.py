@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from rapl_core.simulation.rendering import Renderer
 from rapl_core.simulation.simulation import Simulation, episode_rng
 from rapl_core.tasks import get_task
 
@@ -138,3 +139,22 @@ def test_robot_blocks_goal_and_zone_are_seen_where_they_are():
     assert np.ptp(grey) < 20 and grey.mean() < 180
     seen = np.abs(picture - red).max(axis=2) < 12
     assert 9 <= np.ptp(np.nonzero(seen.any(axis=0))[0]) + 1 <= 12
+
+
+@pytest.mark.parametrize("name", ["xmagical_avoid", "xmagical_group_gripper"])
+def test_what_is_saved_in_drawing_is_not_seen(name):
+    """Coarse faces and a buffer of the picture's size, beside MuJoCo's own settings."""
+    task = get_task(name)
+    simulation = Simulation(task)
+    simulation.reset(0, episode_rng(0, "test", 0, 0))
+    action = np.ones(len(task.action_names))
+    for _ in range(10):
+        simulation.step(0, action)  # turns, so that no edge lies along the pixels
+    picture = simulation.render(0).astype(float)
+    simulation.close()
+    fine = task.build_spec()
+    fine.visual.quality.numquads, fine.visual.quality.numstacks = 4, 16
+    renderer = Renderer(fine.compile(), task.camera, task.image_size)
+    difference = np.abs(renderer.render(simulation.data[0]) - picture)
+    renderer.close()
+    assert difference.mean() < 0.01 and (difference.max(axis=2) > 0).sum() <= 10
