@@ -1,5 +1,7 @@
 """A controller of the test's own: answers the simulator's states as ``learner``."""
 
+from collections.abc import Callable, Sequence
+
 from rapl_msgs.msg import Action, State
 from rapl_msgs.srv import Reset
 from ros_harness import DISCOVERY_S, Probe
@@ -11,11 +13,17 @@ RESET = topics.of_node(topics.RESET, topics.SIMULATOR)
 
 
 class Controller:
-    """Answers states with a constant push, as ``learner``."""
+    """Answers states with a constant push, as ``learner``.
 
-    def __init__(self, probe: Probe) -> None:
+    :param choose: chooses another action (A,).
+    """
+
+    def __init__(
+        self, probe: Probe, choose: Callable[[State], Sequence[float]] = lambda _: (0.5, 0.1)
+    ) -> None:
         self.probe = probe
         self.obeys = True
+        self._choose = choose
         self.publisher = probe.node.create_publisher(Action, topics.ACTION, qos.stream())
         self.states = probe.listen(State, topics.STATE, qos.stream(), self._on_state)
 
@@ -24,7 +32,9 @@ class Controller:
             self.send(msg)
 
     def send(self, msg: State, **changes) -> None:
-        action = conversions.action_to_ros(answer(conversions.state_from_ros(msg), [0.5, 0.1]))
+        action = conversions.action_to_ros(
+            answer(conversions.state_from_ros(msg), self._choose(msg))
+        )
         for name, value in changes.items():
             setattr(action, name, value)
         self.publisher.publish(action)
