@@ -7,15 +7,28 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rapl_core.simulation.simulation import Simulation
+from rapl_core.demonstrators import make_demonstrator
+from rapl_core.errors import RaplError
+from rapl_core.simulation.simulation import Simulation, episode_rng
 
 HIDDEN = 0.25
 """Of the pixels that an object alone would show; whoever shows fewer counts as hidden."""
 
 
 def object_bodies(model: mujoco.MjModel) -> dict[str, int]:
-    """Return names and ids of the things that lie about: movable bodies that no servo moves."""
-    driven = {int(model.jnt_bodyid[joint]) for joint in model.actuator_trnid[:, 0]}
+    """Return names and ids of the things that lie about: movable bodies that no servo moves.
+
+    :raises RaplError: if a servo acts on something else than a joint or a site.
+    """
+    bodies_of = {
+        int(mujoco.mjtTrn.mjTRN_JOINT): model.jnt_bodyid,
+        int(mujoco.mjtTrn.mjTRN_SITE): model.site_bodyid,
+    }
+    driven: set[int] = set()
+    for kind, (target, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
+        if int(kind) not in bodies_of:
+            raise RaplError(f"a servo acts on {mujoco.mjtTrn(kind).name}, expected joint or site")
+        driven.add(int(bodies_of[int(kind)][target]))
     return {
         model.body(body).name: body
         for body in range(1, model.nbody)
@@ -73,3 +86,23 @@ def hidden_shares(shares: list[dict[str, float]]) -> dict[str, float]:
     :param shares: what :func:`seen_shares` gave at instants of an episode.
     """
     return {name: float(np.mean([s[name] < HIDDEN for s in shares])) for name in shares[0]}
+
+
+def hidden_in_episode(
+    simulation: Simulation, behaviour: str, number: int, noise: float = 0.0, every: int = 6
+) -> dict[str, float]:
+    """Play a scripted episode and return of each object in which share of it it was hidden.
+
+    :param number: of the episode: its start and what the demonstrator draws follow from it.
+    :param noise: standard deviation of the action's noise.
+    :param every: steps between two looks.
+    """
+    rng = np.random.default_rng(number)
+    demonstrator = make_demonstrator(simulation.task, behaviour, rng, noise)
+    snapshot = simulation.reset(0, episode_rng(0, "demonstrate", 0, number))
+    looks = [seen_shares(simulation)]
+    while not snapshot.is_last:
+        snapshot = simulation.step(0, demonstrator.act(snapshot.state, snapshot.step))
+        if snapshot.step % every == 0:
+            looks.append(seen_shares(simulation))
+    return hidden_shares(looks)
