@@ -86,7 +86,7 @@ class Task(Protocol):
     @property
     def human_reward_scale(self) -> float:
         """Factor on r* where it is the robot's reward: what ``policies.fit_scale`` gives for 60
-        demonstrations of seed 0."""
+        demonstrations of seed 0, as in experiments/oracle/scales.json."""
 
     def human_reward(self, state: NDArray[np.float64], start: NDArray[np.float64]) -> float:
         """Return r* of one state (S,).

@@ -65,7 +65,7 @@ class TabletopClutter(ArmTask):
     """Bring two prisms to the goal, together, and leave the cubes (paper, Franka Clutter)."""
 
     config: ClutterConfig = field(default_factory=ClutterConfig)
-    human_reward_scale: float = 3.9
+    human_reward_scale: float = 3.87
 
     state_names: tuple[str, ...] = (
         *(f"joint{i}" for i in range(1, 8)), "gripper_x", "gripper_y", "finger_opening",

@@ -50,7 +50,7 @@ class TabletopGroup(ArmTask):
     """Push two cubes to the goal strip, together (paper, Section 4.2, Franka Group)."""
 
     config: TabletopConfig = field(default_factory=TabletopConfig)
-    human_reward_scale: float = 4.35
+    human_reward_scale: float = 4.26
 
     state_names: tuple[str, ...] = (
         *(f"joint{i}" for i in range(1, 8)), "gripper_x", "gripper_y", "gripper_z",

@@ -10,23 +10,23 @@ XmagicalTask = AvoidTask | GroupTask | SweepTask
 
 SCALES: dict[str, float] = {
     "xmagical_avoid": 1.56,
-    "xmagical_avoid_gripper": 1.44,
-    "xmagical_avoid_mediumstick": 1.43,
+    "xmagical_avoid_gripper": 1.32,
+    "xmagical_avoid_mediumstick": 1.62,
     "xmagical_group": 1.16,
     "xmagical_group_gripper": 1.19,
-    "xmagical_group_longstick": 1.39,
-    "xmagical_group_mediumstick": 1.09,
+    "xmagical_group_longstick": 1.38,
+    "xmagical_group_mediumstick": 1.22,
     "xmagical_progress": 2.25,
-    "xmagical_sweep_gripper": 2.39,
-    "xmagical_sweep_gripper_layout": 2.47,
-    "xmagical_sweep_longstick": 2.53,
-    "xmagical_sweep_longstick_layout": 2.4,
+    "xmagical_sweep_gripper": 2.42,
+    "xmagical_sweep_gripper_layout": 2.49,
+    "xmagical_sweep_longstick": 2.79,
+    "xmagical_sweep_longstick_layout": 2.6,
     "xmagical_sweep_mediumstick": 2.38,
-    "xmagical_sweep_mediumstick_layout": 2.4,
-    "xmagical_sweep_shortstick": 2.43,
-    "xmagical_sweep_shortstick_layout": 2.4,
+    "xmagical_sweep_mediumstick_layout": 2.67,
+    "xmagical_sweep_shortstick": 2.45,
+    "xmagical_sweep_shortstick_layout": 2.84,
 }
-"""``human_reward_scale``, as experiments/oracle/scales.py prints them."""
+"""``human_reward_scale``, as in experiments/oracle/scales.json."""
 
 
 def xmagical_tasks() -> list[XmagicalTask]:
