@@ -53,8 +53,7 @@ class RaplObjective:
 
     def _margin(self, z: torch.Tensor) -> torch.Tensor:
         """(3, B, T, D) -> (B,) d(best, worst) - d(best, middle) over the temperature."""
-        best, others = z.split([1, 2])
-        middle, worst = ot_distance(best, others, self.preset.training)  # (2, B)
+        middle, worst = ot_distance(z[:1], z[1:], self.preset.training).unbind()  # (B,) each
         return (worst - middle) / self.preset.temperature
 
     def _expert_loss(
