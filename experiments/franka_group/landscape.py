@@ -1,6 +1,6 @@
 """What a reward wishes for: its value along scenes placed by hand, beside the human's own.
 
-    python experiments/franka_group/landscape.py --seed 9
+    python experiments/franka_group/landscape.py --seed 12
 
 Draws what ``learn.py`` found of that seed's rewards before their learning, and of the last
 alignment's. Each line is normalised: 0 where nothing has been done, 1 where both cubes are in the
@@ -20,11 +20,12 @@ from matplotlib import pyplot as plt  # noqa: E402
 
 HERE = Path(__file__).parent
 LABELS = {
-    "rapl-tuned": "RAPL tuned",
+    "rapl-tuned-online9": "RAPL tuned",
     "rapl-paper": "RAPL paper",
-    "rlhf-tuned": "RLHF tuned",
+    "rlhf-tuned-online9": "RLHF tuned",
     "imagenet": "raw ImageNet",
 }
+"""By the file's name without the seed."""
 
 Ways = dict[str, list[float]]
 
@@ -77,7 +78,7 @@ def picture(rewards: dict[str, Ways], path: Path) -> None:
 def main() -> None:
     """Draw the landscape of all rewards of a seed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=9)
+    parser.add_argument("--seed", type=int, default=12)
     parser.add_argument("--work", type=Path, default=Path("runs/study"))
     parser.add_argument("--results", type=Path, default=HERE / "results")
     options = parser.parse_args()
