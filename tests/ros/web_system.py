@@ -2,6 +2,7 @@
 
 import os
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -118,3 +119,29 @@ def web_system(folder: Path, **parameters: Any) -> Iterator[WebSystem]:
         for node in reversed(nodes):
             node.stop()
         os.environ["ROS_DOMAIN_ID"] = outer
+
+
+def ask(client: httpx.Client, annotator: str, **more: Any) -> dict[str, Any]:
+    """A query for somebody."""
+    answer = client.post("api/queries", json={"annotator": annotator, **more})
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def answer_to(query: dict[str, Any], annotator: str, **more: Any) -> dict[str, Any]:
+    """What the page sends when somebody has ranked its videos."""
+    return {
+        "ranking_id": uuid.uuid4().hex,
+        "query_id": query["query_id"],
+        "annotator": annotator,
+        "verdict": "ranked",
+        "ranks": [2, 1, 3],
+        "response_s": 1.5,
+        **more,
+    }
+
+
+def refused(answer: httpx.Response, status: int, code: str) -> str:
+    """Check that an answer is a refusal in the documented form; return its message."""
+    assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
+    return answer.json()["message"]

@@ -1,7 +1,6 @@
 """Who is given which query: the same one only on purpose, for consistency and agreement."""
 
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
@@ -10,11 +9,6 @@ from rapl_core.preferences import DeskConfig, Query, QueryDesk, QueryRequest, Ra
 from rapl_core.types import Ranking
 
 POOL = [f"v{number}" for number in range(8)]
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> RankingStore:
-    return RankingStore(tmp_path / "rankings.sqlite")
 
 
 def desk(store: RankingStore, **config: float) -> QueryDesk:
