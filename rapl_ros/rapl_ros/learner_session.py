@@ -11,7 +11,6 @@ import numpy as np
 from rapl_core.errors import RaplError
 from rapl_core.policies import (
     CheckpointFolder,
-    CurvePoint,
     Evaluation,
     Learning,
     LearningCurve,
@@ -289,16 +288,7 @@ class LearnerSession:
         """An evaluation that the schedule asked for has ended."""
         schedule = self.learning.schedule
         schedule.evaluated()
-        self.curve = self.curve.with_point(
-            CurvePoint(
-                steps=schedule.steps,
-                success_rate=evaluation.success_rate,
-                human_return_mean=evaluation.human_return_mean,
-                reward_mean=evaluation.reward_mean,
-                episodes=evaluation.episodes,
-                wall_s=self._wall_s,
-            )
-        )
+        self.curve = self.curve.with_evaluation(schedule.steps, evaluation, self._wall_s)
         self._log.evaluation(schedule.steps, evaluation)
         self._pace.clear()  # the pause is not the pace of training
 

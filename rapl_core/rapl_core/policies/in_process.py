@@ -15,7 +15,7 @@ from rapl_core.policies.checkpoint import CheckpointFolder, Part
 from rapl_core.policies.config import SacConfig, ScheduleConfig
 from rapl_core.policies.evaluation import EpisodeOutcome, Evaluation, summarise_evaluation
 from rapl_core.policies.learning import Learning
-from rapl_core.policies.learning_curve import CurvePoint, LearningCurve
+from rapl_core.policies.learning_curve import LearningCurve
 from rapl_core.policies.metrics_log import MetricsLog
 from rapl_core.policies.observation import observation_size
 from rapl_core.policies.rewards import EpisodeReward
@@ -224,16 +224,7 @@ class _Run:
                 )
         evaluation = summarise_evaluation(outcomes, schedule.config.evaluate_episodes)
         schedule.evaluated()
-        self.curve = self.curve.with_point(
-            CurvePoint(
-                steps=schedule.steps,
-                success_rate=evaluation.success_rate,
-                human_return_mean=evaluation.human_return_mean,
-                reward_mean=evaluation.reward_mean,
-                episodes=evaluation.episodes,
-                wall_s=self.wall_s,
-            )
-        )
+        self.curve = self.curve.with_evaluation(schedule.steps, evaluation, self.wall_s)
         return evaluation
 
     def _event(self, evaluation: Evaluation | None, episodes: tuple[Episode, ...]) -> LearningEvent:

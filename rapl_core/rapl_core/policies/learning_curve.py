@@ -11,6 +11,7 @@ from typing import Self
 
 from rapl_core.atomic import write_atomically
 from rapl_core.errors import CorruptFileError, RaplError
+from rapl_core.policies.evaluation import Evaluation
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,20 @@ class LearningCurve:
 
     points: tuple[CurvePoint, ...] = ()
 
-    def with_point(self, point: CurvePoint) -> Self:
-        """Return the curve with one more point."""
+    def with_evaluation(self, steps: int, evaluation: Evaluation, wall_s: float) -> Self:
+        """Return the curve with one more point: what an evaluation found.
+
+        :param steps: world steps of training before it.
+        :param wall_s: since learning began, pauses between resumes left out.
+        """
+        point = CurvePoint(
+            steps=steps,
+            success_rate=evaluation.success_rate,
+            human_return_mean=evaluation.human_return_mean,
+            reward_mean=evaluation.reward_mean,
+            episodes=evaluation.episodes,
+            wall_s=wall_s,
+        )
         return type(self)((*self.points, point))
 
     def last(self, count: int = 3) -> float:
