@@ -25,6 +25,8 @@ from rapl_ros.settings import (
 )
 
 KNOBS = tuple(knob.name for knob in fields(HumanKnobs))
+FIELDS = {"episodes": "pool_episodes"}
+"""Of :class:`RunConfig`, by option, where the names differ."""
 
 
 @dataclass(frozen=True)
@@ -76,118 +78,15 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
     )
     parser.add_argument("task", nargs="?", metavar="TASK", help="what to learn, see --list")
     parser.add_argument("--list", action="store_true", help="name tasks, rewards and presets")
-    parser.add_argument(
-        "--reward", default=None, metavar="NAME", help=f"{' | '.join(REWARDS)} (rapl)"
-    )
+    parser.add_argument("--reward", metavar="NAME", help=f"{' | '.join(REWARDS)} (rapl)")
     parser.add_argument(
         "--encoder",
-        default=None,
         metavar="NAME",
         help="encoder that embeds the pictures (the one that --reward implies)",
     )
-    parser.add_argument(
-        "--preset", default=None, metavar="NAME", help=f"{' | '.join(PRESETS)} (tuned)"
-    )
-    parser.add_argument(
-        "--human", default=None, metavar="NAME", help=f"who ranks: {' | '.join(HUMANS)} (simulated)"
-    )
-    parser.add_argument(
-        "--web",
-        nargs="?",
-        const=WEB_HOST,
-        default=None,
-        metavar="HOST",
-        help="show the page, on which people watch and rank; HOST other than this machine's own "
-        f"address ({WEB_HOST}) lets others in who have the token that is printed",
-    )
-    parser.add_argument(
-        "--strategy",
-        default=None,
-        metavar="NAME",
-        help=f"which videos to ask about next: {' | '.join(STRATEGIES)} "
-        "(contest with preset tuned, else uniform)",
-    )
-    parser.add_argument(
-        "--noise",
-        default=None,
-        metavar="NAME",
-        help=f"what to make of wrong answers: {' | '.join(NOISES)} (plain)",
-    )
-    parser.add_argument(
-        "--groups",
-        type=_whole(*RANGES["groups"]),
-        metavar="N",
-        help="representations, one a group of people who agree; 0: as many as needed (1)",
-    )
-    parser.add_argument(
-        "--people",
-        default=None,
-        metavar="NAME:WISH,...",
-        help=f"simulated people; wishes: {' | '.join(wish_names())} (one who wants the task)",
-    )
-    parser.add_argument(
-        "--knobs",
-        default=None,
-        metavar="KNOB=VALUE,...",
-        help=f"how simulated people err: {' | '.join(KNOBS)} (never)",
-    )
-    parser.add_argument(
-        "--triplets",
-        type=_whole(*RANGES["triplets"]),
-        metavar="N",
-        help=f"rankings of three videos in all ({default.triplets})",
-    )
-    parser.add_argument(
-        "--online",
-        type=_whole(*RANGES["online"]),
-        metavar="N",
-        help="alignments while the robot learns, from rankings of its own videos too "
-        f"({online_alignments(default.preset)} with rapl or rlhf and preset {default.preset}, "
-        "else 0)",
-    )
-    parser.add_argument(
-        "--online-triplets",
-        type=_whole(*RANGES["online_triplets"]),
-        metavar="N",
-        help="of the rankings, kept for each of them (half of all, shared out)",
-    )
-    parser.add_argument(
-        "--episodes",
-        type=_whole(*RANGES["pool_episodes"]),
-        metavar="N",
-        help=f"videos to collect and rank ({default.pool_episodes})",
-    )
-    parser.add_argument(
-        "--demonstrations",
-        type=_whole(*RANGES["demonstrations"]),
-        metavar="N",
-        help=f"preferred demonstrations, for tcc and tcc_ot ({default.demonstrations})",
-    )
-    parser.add_argument(
-        "--backbone",
-        metavar="NAME",
-        help="network that the encoder is made on (the one that --reward names)",
-    )
-    parser.add_argument(
-        "--weights",
-        metavar="PATH",
-        help="its weights: a file, or a folder that holds it as NAME.pt (where they are usually)",
-    )
-    parser.add_argument(
-        "--steps",
-        type=_whole(*RANGES["steps"]),
-        metavar="N",
-        help=f"world steps of learning ({default.steps})",
-    )
-    parser.add_argument(
-        "--worlds",
-        type=_whole(*RANGES["worlds"]),
-        metavar="N",
-        help=f"worlds simulated side by side ({default.worlds})",
-    )
-    parser.add_argument(
-        "--seed", type=_whole(*RANGES["seed"]), metavar="N", help="of everything random (0)"
-    )
+    parser.add_argument("--preset", metavar="NAME", help=f"{' | '.join(PRESETS)} (tuned)")
+    _add_rankings(parser, default)
+    _add_learning(parser, default)
     parser.add_argument(
         "--out", type=Path, metavar="FOLDER", help="run folder (runs/TASK/REWARD-PRESET-seedN)"
     )
@@ -195,7 +94,6 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         "--resume",
         nargs="?",
         const="",
-        default=None,
         metavar="FOLDER",
         help="go on with this run, or with the task's newest unfinished one",
     )
@@ -210,6 +108,89 @@ def build_parser(prog: str = "./run_all.sh") -> argparse.ArgumentParser:
         help="leave the graph running after the last stage, until Ctrl-C",
     )
     return parser
+
+
+def _add_rankings(parser: _Parser, default: RunConfig) -> None:
+    """Who ranks what, and how many."""
+    parser.add_argument(
+        "--human", metavar="NAME", help=f"who ranks: {' | '.join(HUMANS)} (simulated)"
+    )
+    parser.add_argument(
+        "--web",
+        nargs="?",
+        const=WEB_HOST,
+        metavar="HOST",
+        help="show the page, on which people watch and rank; HOST other than this machine's own "
+        f"address ({WEB_HOST}) lets others in who have the token that is printed",
+    )
+    parser.add_argument(
+        "--strategy",
+        metavar="NAME",
+        help=f"which videos to ask about next: {' | '.join(STRATEGIES)} "
+        "(contest with preset tuned, else uniform)",
+    )
+    parser.add_argument(
+        "--noise",
+        metavar="NAME",
+        help=f"what to make of wrong answers: {' | '.join(NOISES)} (plain)",
+    )
+    _add_number(
+        parser,
+        "groups",
+        "representations, one a group of people who agree; 0: as many as needed (1)",
+    )
+    parser.add_argument(
+        "--people",
+        metavar="NAME:WISH,...",
+        help=f"simulated people; wishes: {' | '.join(wish_names())} (one who wants the task)",
+    )
+    parser.add_argument(
+        "--knobs",
+        metavar="KNOB=VALUE,...",
+        help=f"how simulated people err: {' | '.join(KNOBS)} (never)",
+    )
+    _add_number(parser, "triplets", f"rankings of three videos in all ({default.triplets})")
+    _add_number(
+        parser,
+        "online",
+        "alignments while the robot learns, from rankings of its own videos too "
+        f"({online_alignments(default.preset)} with rapl or rlhf and preset {default.preset}, "
+        "else 0)",
+    )
+    _add_number(
+        parser,
+        "online-triplets",
+        "of the rankings, kept for each of them (half of all, shared out)",
+    )
+    _add_number(parser, "episodes", f"videos to collect and rank ({default.pool_episodes})")
+
+
+def _add_learning(parser: _Parser, default: RunConfig) -> None:
+    """What the encoder is made from, and how long the robot learns."""
+    _add_number(
+        parser,
+        "demonstrations",
+        f"preferred demonstrations, for tcc and tcc_ot ({default.demonstrations})",
+    )
+    parser.add_argument(
+        "--backbone",
+        metavar="NAME",
+        help="network that the encoder is made on (the one that --reward names)",
+    )
+    parser.add_argument(
+        "--weights",
+        metavar="PATH",
+        help="its weights: a file, or a folder that holds it as NAME.pt (where they are usually)",
+    )
+    _add_number(parser, "steps", f"world steps of learning ({default.steps})")
+    _add_number(parser, "worlds", f"worlds simulated side by side ({default.worlds})")
+    _add_number(parser, "seed", "of everything random (0)")
+
+
+def _add_number(parser: _Parser, name: str, meaning: str) -> None:
+    """An option with a whole number in the range of its setting."""
+    setting = FIELDS.get(name, name.replace("-", "_"))
+    parser.add_argument(f"--{name}", type=_whole(*RANGES[setting]), metavar="N", help=meaning)
 
 
 def parse(argv: Sequence[str], tasks: Sequence[str], runs: Path) -> RunRequest:
@@ -287,7 +268,7 @@ def _folder_to_resume(arguments: argparse.Namespace, tasks: Sequence[str], runs:
 
 
 def _given(arguments: argparse.Namespace) -> dict[str, Any]:
-    names = {field.name: field.name for field in fields(RunConfig)} | {"episodes": "pool_episodes"}
+    names = {field.name: field.name for field in fields(RunConfig)} | FIELDS
     return {
         names[key]: value
         for key, value in vars(arguments).items()
