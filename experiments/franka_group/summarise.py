@@ -77,8 +77,8 @@ def table(runs: dict[str, list[Run]]) -> str:
         f"Steps: {', '.join(f'{s:,}' for s in steps)}, one gradient step a world step, 4 worlds, "
         "50 evaluation episodes; success is the mean of the last three evaluations; in brackets "
         "the lowest and the highest seed. Step, concordance and episode hold the reward against "
-        "r* on 100 held-out videos of scripts (docs/paper_notes.md), after the last alignment where "
-        "there were several.",
+        "r* on 100 held-out videos of scripts (docs/paper_notes.md), after the last alignment "
+        "where there were several.",
     ]
     return "\n".join(lines)
 
