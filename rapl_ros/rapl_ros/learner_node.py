@@ -231,6 +231,7 @@ class LearnerNode(RaplNode):
             self.config.seed,
             self.config.run_folder,
             self.config.after_swap,
+            lambda: self.diagnostics.shares.of("sac"),
         )
 
     def _replace_session(self, session: LearnerSession) -> None:

@@ -3,6 +3,8 @@
 import math
 import time
 from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Literal
 
@@ -47,6 +49,7 @@ class LearnerSession:
     :param run_folder: gets policies/ (checkpoints, curve) and metrics/ (TensorBoard).
     :param after_swap: ``empty``: the replay buffer is emptied. ``relabel``: no round begins until
         what is held was rewarded again.
+    :param timed: entered around gradient steps, on their thread.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class LearnerSession:
         seed: int,
         run_folder: Path,
         after_swap: AfterSwap = "empty",
+        timed: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self.task = get_task(world.task)
         self.worlds = world.worlds
@@ -64,7 +68,7 @@ class LearnerSession:
         self.checkpoints = CheckpointFolder(self.folder)
         observation = observation_size(self.task)
         actions = len(self.task.action_names)
-        self.learning = Learning(observation, actions, sac, schedule, seed, background=True)
+        self.learning = Learning(observation, actions, sac, schedule, seed, True, timed)
         self.curve = LearningCurve()
         self.dropped = 0
         self.swaps = 0

@@ -1,7 +1,8 @@
 """The learner: policy, staged episodes and schedule, driven by the ROS node or in-process."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 
@@ -37,6 +38,7 @@ class Learning:
     :param observation_size: F.
     :param action_size: A.
     :param background: take gradient steps on a thread of their own.
+    :param timed: entered around gradient steps, on their thread, to tell what they cost.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class Learning:
         schedule: ScheduleConfig,
         seed: int,
         background: bool = False,
+        timed: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self.seed = seed
         self.trainer = SacTrainer(observation_size, action_size, sac, seed)
@@ -56,6 +59,7 @@ class Learning:
         """Where the rewards come from; set by the driver, kept in checkpoints."""
         self.metrics: UpdateMetrics | None = None
         """Of the last block of gradient steps; None before the first."""
+        self._timed = timed
         self._thread = ThreadPoolExecutor(1, "gradient-steps") if background else None
         self._running: Future[UpdateMetrics] | None = None
 
@@ -90,9 +94,13 @@ class Learning:
         if block.updates < 1 or not self.trainer.can_update:
             return
         if self._thread is None:
-            self.metrics = self.trainer.update(block.updates)
+            self.metrics = self._update(block.updates)
         else:
-            self._running = self._thread.submit(self.trainer.update, block.updates)
+            self._running = self._thread.submit(self._update, block.updates)
+
+    def _update(self, steps: int) -> UpdateMetrics:
+        with self._timed():
+            return self.trainer.update(steps)
 
     def end_round(self) -> None:
         """Note that an episode of every world has ended."""

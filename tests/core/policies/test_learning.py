@@ -1,5 +1,8 @@
 """The learner on a world small enough to be learnt in seconds, driven as the node drives it."""
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +102,27 @@ def test_it_learns_to_hold_the_middle() -> None:
     trained = learn(learning).round(deterministic=True)
     # At 0.3 a step from 0.5 away on average, the best possible is about -1.
     assert trained > -4 and untrained < -12
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_gradient_steps_are_timed_where_they_are_taken(background: bool) -> None:
+    threads: list[str] = []
+
+    @contextmanager
+    def timed() -> Iterator[None]:
+        before = learning.trainer.updates
+        yield
+        assert learning.trainer.updates > before
+        threads.append(threading.current_thread().name)
+
+    schedule = ScheduleConfig(
+        steps=420, worlds=WORLDS, random_steps=200, block_steps=20, evaluate_episodes=0
+    )
+    learning = Learning(2, 1, SAC, schedule, 0, background, timed)
+    learn(learning)
+    learning.close()
+    assert len(threads) >= 8
+    assert all(name.startswith("gradient-steps") is background for name in threads)
 
 
 def test_rewards_may_come_late_and_in_any_order_without_changing_what_is_learnt() -> None:
