@@ -74,6 +74,8 @@ def check_database(path: Path) -> None:
             f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_TIMEOUT_S
         )
         try:
+            # One snapshot for all: another process may be about to create the tables.
+            connection.execute("BEGIN")
             (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
             (application,) = connection.execute("PRAGMA application_id").fetchone()
             (version,) = connection.execute("PRAGMA user_version").fetchone()
