@@ -60,8 +60,8 @@ def mean_and_range(values: list[float], digits: int = 2) -> str:
 def table(runs: dict[str, list[Run]]) -> str:
     """Return the table in Markdown: success is the mean of the last three evaluations."""
     lines = [
-        "| reward | success | seeds | step | concordance | episode |",
-        "|---|---|---|---|---|---|",
+        "| reward | success | seeds | world steps | step | concordance | episode |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, group in runs.items():
         success = mean_and_range([run["success_last_three"] for run in group])
@@ -70,14 +70,13 @@ def table(runs: dict[str, list[Run]]) -> str:
             mean_and_range([o[key] for o in offline]) if offline else "-"
             for key in ("step", "concordance", "episode")
         ]
-        lines.append(f"| {name} | {success} | {len(group)} | {' | '.join(cells)} |")
-    steps = sorted({run["steps"] for group in runs.values() for run in group})
+        steps = " and ".join(f"{s:,}" for s in sorted({run["steps"] for run in group}))
+        lines.append(f"| {name} | {success} | {len(group)} | {steps} | {' | '.join(cells)} |")
     lines += [
         "",
-        f"Steps: {', '.join(f'{s:,}' for s in steps)}, one gradient step a world step, 4 worlds, "
-        "50 evaluation episodes; success is the mean of the last three evaluations; in brackets "
-        "the lowest and the highest seed. Step, concordance and episode hold the reward against "
-        "r* on 100 held-out videos of scripts (docs/paper_notes.md), after the last alignment "
+        "One gradient step a world step, 4 worlds, 50 evaluation episodes; success is the mean of "
+        "the last three evaluations; in brackets the lowest and the highest seed. Step, concordance "
+        "and episode hold the reward against r* on 100 held-out videos of scripts (docs/paper_notes.md), after the last alignment "
         "where there were several.",
     ]
     return "\n".join(lines)
