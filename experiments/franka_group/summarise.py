@@ -75,9 +75,9 @@ def table(runs: dict[str, list[Run]]) -> str:
     lines += [
         "",
         "One gradient step a world step, 4 worlds, 50 evaluation episodes; success is the mean of "
-        "the last three evaluations; in brackets the lowest and the highest seed. Step, concordance "
-        "and episode hold the reward against r* on 100 held-out videos of scripts (docs/paper_notes.md), after the last alignment "
-        "where there were several.",
+        "the last three evaluations; in brackets the lowest and the highest seed. Step, "
+        "concordance and episode hold the reward against r* on 100 held-out videos of scripts "
+        "(docs/paper_notes.md), after the last alignment where there were several.",
     ]
     return "\n".join(lines)
 
