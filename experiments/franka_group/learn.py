@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from online_alignment import OnlineAlignment
+from online_alignment import AlignmentRounds
 from scenes import TASK, Scenes
 
 from rapl_core.analysis import measures
@@ -145,7 +145,7 @@ def main() -> None:
     pool = make_videos(options.seed, "demonstrate", options.pool, options.work)
     result: dict[str, object] = {"reward": options.reward, "seed": options.seed}
     result["preset"] = options.preset if is_preset else ""
-    revise: OnlineAlignment | None = None
+    revise: AlignmentRounds | None = None
     if options.reward == "ground_truth":
         scale = fit_scale(v.human_rewards[1:] for v in pool if v.human_rewards is not None)
         reward: EpisodeReward = GroundTruthReward(scale)
@@ -158,8 +158,9 @@ def main() -> None:
         if options.reward == "imagenet":
             made = raw_encoder(pool, rankings, options.seed, options.work)
             reward = EncoderReward(*made)
+            result["scenes"] = scenes.judge(*made)
         else:
-            revise = OnlineAlignment(
+            revise = AlignmentRounds(
                 videos=pool,
                 rankings=rankings,
                 method=options.reward,
@@ -171,10 +172,8 @@ def main() -> None:
                 more=own,
             )
             reward = revise.align()
-            made = revise.encoder, revise.experts
-            result["alignments"] = revise.report
+            result["alignments"], result["scenes"] = revise.report, revise.judged
         result["offline"] = judge(reward, test)
-        result["scenes"] = scenes.judge(*made)
         print(name, result, flush=True)
     schedule = ScheduleConfig(
         steps=options.steps,
@@ -206,7 +205,7 @@ def main() -> None:
     )
     if revise is not None and online:
         result["offline_last"] = judge(revise.reward, test)
-        result["scenes_last"] = scenes.judge(revise.encoder, revise.experts)
+        result["scenes_last"] = revise.judged
     result |= {
         "curve": [asdict(point) for point in curve.points],
         "success_last_three": curve.last(3),

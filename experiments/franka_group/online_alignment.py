@@ -61,7 +61,7 @@ class KeptReward(EncoderReward):
 
 
 @dataclass
-class OnlineAlignment:
+class AlignmentRounds:
     """Makes the reward, and makes it anew at each mark.
 
     :param videos: the pool; the learner's ranked videos join it.
@@ -109,6 +109,7 @@ class OnlineAlignment:
         seconds = time.monotonic() - began
         self.encoder = encoder
         self.experts = [encoder.embed_expert(n, by_id[n].frames) for n in encoder.expert_ids]
+        self.judged = self.scenes.judge(encoder, self.experts)
         self.report.append(
             {
                 "steps": steps,
@@ -118,7 +119,7 @@ class OnlineAlignment:
                 "held_out_accuracy": report.held_out_accuracy,
                 "best_epoch": report.best_epoch,
                 "align_s": seconds,
-                "scenes_spearman": self.scenes.judge(encoder, self.experts)["spearman"],
+                "scenes_spearman": self.judged["spearman"],
             }
         )
         self.reward = KeptReward(encoder, self.experts, self._kept)
