@@ -25,7 +25,7 @@ MEASURES = {
     "episode": "Spearman of the sums, per video",
     "step": "Spearman per step (the paper's)",
 }
-STRATEGIES = ("uniform", "uncertainty", "information", "coverage", "transport")
+STRATEGIES = ("uniform", "uncertainty", "information", "coverage", "transport", "contest")
 COLORS = dict(zip(STRATEGIES, plt.cm.tab10.colors, strict=False))
 
 Unit = dict[str, Any]
