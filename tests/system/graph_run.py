@@ -85,6 +85,14 @@ class GraphRun:
                 return child.pid
         raise AssertionError(f"{node} does not run")
 
+    def until(self, condition: Callable[[], bool], deadline_s: float, what: str) -> None:
+        """Wait for a condition that the run brings about."""
+        end_s = time.monotonic() + deadline_s
+        while not condition():
+            assert self.process.poll() is None, f"the run has ended:\n{self.text()[-3000:]}"
+            assert time.monotonic() < end_s, f"not within {deadline_s:.0f} s: {what}"
+            time.sleep(0.02)
+
     def kill_node(self, node: str) -> int:
         """End a node as a crash would; returns its process id."""
         pid = self.pid_of(node)
