@@ -13,7 +13,8 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from scenes import PATH, TRUTH, Scenes
+
+from rapl_core.analysis.scenes import PATH, TRUTH, Scenes
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt  # noqa: E402
@@ -83,7 +84,10 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=HERE / "results")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
-    rewards = {TRUTH: Scenes.drawn(options.work).truth(), **found(options.results, options.seed)}
+    rewards = {
+        TRUTH: Scenes.drawn(options.work).truth().scaled(),
+        **found(options.results, options.seed),
+    }
     for label, along in rewards.items():
         print(
             label,

@@ -14,16 +14,18 @@ import argparse
 import json
 import os
 import time
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
 from online_alignment import AlignmentRounds
-from scenes import TASK, Scenes
 
 from rapl_core.analysis import measures
 from rapl_core.analysis.provenance import commit, machine, versions
+from rapl_core.analysis.scenes import TASK, Scenes
 from rapl_core.demonstrators import collect
 from rapl_core.policies.config import SacConfig, ScheduleConfig
 from rapl_core.policies.in_process import LearningEvent, train_in_process
@@ -50,14 +52,27 @@ from rapl_core.tasks import get_task
 from rapl_core.types import EmbeddedEpisode, Episode, Ranking
 
 HERE = Path(__file__).parent
+LAST_VIDEOS = 40
+"""The learner's last training videos, on which its reward is held against r* at the end."""
 
 
-def make_videos(seed: int, stream: str, count: int, folder: Path) -> list[Episode]:
-    """Return ``count`` scripted videos; kept in ``folder`` for the other rewards of the seed."""
-    kept = folder / f"{stream}-{seed}-{count}.npz"
+def make_videos(
+    seed: int,
+    stream: str,
+    count: int,
+    folder: Path,
+    only: Sequence[str] = (),
+    first: int = 0,
+) -> list[Episode]:
+    """Return ``count`` scripted videos; kept in ``folder`` for the other rewards of the seed.
+
+    :param only: behaviours to show; empty for all in their shares.
+    :param first: number of the first video.
+    """
+    kept = folder / f"{stream}-{seed}-{count}{f'-from-{first}' if first else ''}.npz"
     if not kept.is_file():
         simulation = Simulation(get_task(TASK))
-        videos = list(collect(simulation, count, seed, stream))
+        videos = list(collect(simulation, count, seed, stream, only, first))
         simulation.close()
         beside = kept.with_suffix(f".{os.getpid()}.npz")
         np.savez(beside, episodes=np.array([asdict(v) for v in videos], dtype=object))
@@ -98,17 +113,10 @@ def raw_encoder(
     return encoder, [encoder.embed_expert(n, by_id[n].frames) for n in encoder.expert_ids]
 
 
-def judge(reward: EpisodeReward, test: list[Episode]) -> dict[str, float]:
-    """Hold a reward against r* on videos that nothing was learnt from."""
-    values = [reward(video) for video in test]
-    human = [video.human_rewards[1:] for video in test if video.human_rewards is not None]
-    step = measures.spearman_per_step(values, human)
-    return {
-        "step": step.mean,
-        "step_undefined": step.undefined,
-        "concordance": measures.concordance(values, human).value,
-        "episode": measures.episode_rank_correlation(values, human),
-    }
+def judge(reward: EpisodeReward, videos: Sequence[Episode]) -> dict[str, float]:
+    """Hold a reward against r* on some videos."""
+    human = [video.human_rewards[1:] for video in videos if video.human_rewards is not None]
+    return asdict(measures.agreement([reward(video) for video in videos], human))
 
 
 def main() -> None:
@@ -158,7 +166,7 @@ def main() -> None:
         if options.reward == "imagenet":
             made = raw_encoder(pool, rankings, options.seed, options.work)
             reward = EncoderReward(*made)
-            result["scenes"] = scenes.judge(*made)
+            result["scenes"] = scenes.judge(*made).to_json()
         else:
             revise = AlignmentRounds(
                 videos=pool,
@@ -181,8 +189,10 @@ def main() -> None:
         checkpoint_every=0 if online else 5_000,  # what is revised cannot be resumed
     )
     sac = SacConfig()
+    last: deque[Episode] = deque(maxlen=LAST_VIDEOS)
 
     def tell(event: LearningEvent) -> None:
+        last.extend(event.episodes)
         if event.evaluation is not None:
             print(
                 f"{name} {event.steps} steps: success {event.evaluation.success_rate:.2f}, "
@@ -204,8 +214,11 @@ def main() -> None:
         revise=revise,
     )
     if revise is not None and online:
-        result["offline_last"] = judge(revise.reward, test)
+        reward = revise.reward
+        result["offline_last"] = judge(reward, test)
         result["scenes_last"] = revise.judged
+    if last and options.reward != "ground_truth":  # empty in a run that had ended before
+        result["learner_videos"] = judge(reward, last)
     result |= {
         "curve": [asdict(point) for point in curve.points],
         "success_last_three": curve.last(3),

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scenes import Scenes
 
+from rapl_core.analysis.scenes import Scenes
 from rapl_core.policies.in_process import LearningEvent, Revision
 from rapl_core.policies.rewards import EncoderReward
 from rapl_core.preferences import SimulatedHuman, expert_set, triplets_from
@@ -109,7 +109,7 @@ class AlignmentRounds:
         seconds = time.monotonic() - began
         self.encoder = encoder
         self.experts = [encoder.embed_expert(n, by_id[n].frames) for n in encoder.expert_ids]
-        self.judged = self.scenes.judge(encoder, self.experts)
+        self.judged = self.scenes.judge(encoder, self.experts).to_json()
         self.report.append(
             {
                 "steps": steps,

@@ -1,8 +1,8 @@
 """``./run_all.sh franka_group --reward NAME --quick`` for every reward, one after another.
 
-    python experiments/rewards/every_row.py                         # all rows
-    python experiments/rewards/every_row.py --rows r3m mvp          # these
-    python experiments/rewards/every_row.py --weights FOLDER        # published weights, where it has them
+    python experiments/rewards/every_row.py                      # all rows
+    python experiments/rewards/every_row.py --rows r3m mvp       # these
+    python experiments/rewards/every_row.py --weights FOLDER     # published weights, if it has them
 
 Published weights that are not given are made up: files of the published layout, as the loaders'
 tests make them, which show that the whole way works and nothing more. Writes ``every_row.json``:
@@ -31,6 +31,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 LIMIT_S = 1800.0
 MADE_UP = "made up, of the published layout"
+FROM_SCRATCH = "pre-trained from scratch on the run's own videos"
 ORACLE = "ground_truth"
 SCRATCH = "mvp_finetuned on mae_vit"
 """The row without a download: its backbone is pre-trained on the run's own videos first."""
@@ -58,14 +59,12 @@ def row_of(name: str, given: Path | None, made: Path) -> Row:
         return Row(name, ("--reward", name), "none needed")
     if name == SCRATCH:
         options = ("--reward", "mvp_finetuned", "--backbone", "mae_vit")
-        return Row(name, options, "pre-trained from scratch on the run's own videos")
+        return Row(name, options, FROM_SCRATCH)
     method = get_method(name)
     if method.backbone not in {spec.name for spec in PUBLIC}:
         scratch = method.name == "mae_scratch"
-        words = "pre-trained from scratch on the run's own videos"
-        return Row(
-            name, ("--reward", name), words if scratch else backbone_spec(method.backbone).title
-        )
+        words = FROM_SCRATCH if scratch else backbone_spec(method.backbone).title
+        return Row(name, ("--reward", name), words)
     found = weights_in(given, method.backbone) if given else None
     file = found or make_up(method.backbone, made)
     words = "published" if found else MADE_UP
@@ -106,7 +105,7 @@ def run(row: Row, out: Path, program: list[str]) -> dict[str, Any]:
         "command": " ".join(["./run_all.sh franka_group", *_shown(row.options), "--quick"]),
         "weights": row.weights,
         "exit_status": status,
-        "last_line": "" if status == 0 or not lines else lines[-1].removeprefix("known options: "),
+        "last_line": "" if status == 0 or not lines else lines[-1],
         "seconds": round(time.monotonic() - began, 1),
         "stages": {s.name: [s.status, round(s.seconds, 1)] for s in read_stages(folder)},
         "encoder": found.get("encoder"),

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from rapl_core.analysis import provenance
-from rapl_core.analysis.measures import arm_only_share
+from rapl_core.analysis.measures import Agreement, arm_only_share
 from rapl_core.analysis.record import RunRecord, pool_composition
 from rapl_core.analysis.scoring import (
-    Agreement,
     RewardingEncoder,
     ScoredVideo,
     Scorer,

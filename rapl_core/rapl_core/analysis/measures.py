@@ -111,6 +111,37 @@ def episode_rank_correlation(rewards: Traces, human: Traces) -> float:
     )
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """How a reward agrees with the human's over a set of videos."""
+
+    videos: int
+    step: float
+    """Mean Spearman correlation over the steps of a video."""
+    step_undefined: int
+    """Videos left out of it: one of the two traces is constant."""
+    concordance: float
+    """Over pairs of frames that differ by more than 2 cm in r*."""
+    episode: float
+    """Rank correlation of the videos' sums."""
+
+
+def agreement(rewards: Traces, human: Traces) -> Agreement:
+    """Return how a reward agrees with the human's over a set of videos.
+
+    Of scripted videos that nothing was learnt from it says what a table can; of the videos of a
+    learner that was trained on that reward, what the reward is worth where the learner took it.
+    """
+    step = spearman_per_step(rewards, human)
+    return Agreement(
+        videos=len(rewards),
+        step=step.mean,
+        step_undefined=step.undefined,
+        concordance=concordance(rewards, human).value,
+        episode=episode_rank_correlation(rewards, human),
+    )
+
+
 def arm_only_share(expert_rewards: Traces, mime_rewards: Traces, window: int = 5) -> float:
     """Return how much of the experts' gain a reward gives for the arm's motion alone.
 
@@ -134,26 +165,33 @@ def gain_share(whole: Traces, part: Traces, window: int = 5) -> float:
         come out near 1, of the arm alone near 0 (:func:`arm_only_share`).
     :return: NaN when either set is empty or the whole gains nothing.
     """
-    if not len(whole) or not len(part):
-        return float("nan")
-    gain = float(np.mean([_gain(r, window) for r in whole]))
-    share = float(np.mean([_gain(r, window) for r in part]))
-    return share / gain if gain > 0 else float("nan")
+    gain = mean_gain(whole, window)
+    return mean_gain(part, window) / gain if gain > 0 else float("nan")
+
+
+def mean_gain(rewards: Traces, window: int = 5) -> float:
+    """Return the mean over videos of what they gain: reward at their end less that at their start.
+
+    :param window: steps averaged at either end.
+    :return: NaN without videos.
+    """
+    return float(np.mean([_gain(r, window) for r in rewards])) if len(rewards) else float("nan")
 
 
 @dataclass(frozen=True)
 class Wishes:
     """What a landscape says of each thing that a reward must express, one number each.
 
-    Of rewards along placed scenes, scaled so that 0 is rest and 1 is done.
+    In shares of the reward's range over the scenes that were placed by hand, so that the size of a
+    reward plays no part, nor whether being done earns more than rest, as it should.
     """
 
     rise: float
     """Spearman's correlation with the way gone while both go to the goal together; wanted: 1."""
     pit: float
     """How far it falls below an earlier value on that way, at most; wanted: 0."""
-    alone: float
-    """Where one object alone is in the goal; wanted: little, at r* below 0."""
+    over_alone: float
+    """By how much both together in the goal earn more than one alone in it; wanted: above 0."""
     gap: float
     """Lost while a gap grows between objects in the goal; wanted: above 0."""
     arm: float
@@ -163,21 +201,20 @@ class Wishes:
 def wishes(together: ArrayLike, alone: ArrayLike, gap: ArrayLike, arm: ArrayLike) -> Wishes:
     """Return one number for each wish.
 
-    :param together: (N,) along the way of both to the goal; its ends set the scale.
+    :param together: (N,) rewards along the way of both to the goal.
     :param alone: (N,) along the way of one alone.
     :param gap: (N,) while the gap grows.
-    :param arm: (N,) along the way of the arm alone; its first scene is rest.
-    :return: all NaN where being done earns no more than rest.
+    :param arm: (N,) along the way of the arm alone.
+    :return: all NaN for a reward that is the same everywhere.
     """
     way, one, wide, bare = (np.asarray(x, dtype=np.float64) for x in (together, alone, gap, arm))
-    low, high = float(bare[0]), float(way[-1])
-    if not high > low:
+    unit = float(np.ptp(np.concatenate([way, one, wide, bare])))
+    if not unit > 0:
         return Wishes(*[float("nan")] * 5)
-    unit = high - low
     return Wishes(
         rise=spearman(way, np.arange(len(way))),
         pit=float((np.maximum.accumulate(way) - way).max()) / unit,
-        alone=(float(one[-1]) - low) / unit,
+        over_alone=float(way[-1] - one[-1]) / unit,
         gap=float(wide[0] - wide[-1]) / unit,
         arm=float(bare[-1] - bare[0]) / unit,
     )

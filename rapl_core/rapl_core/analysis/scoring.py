@@ -61,21 +61,6 @@ class ScoredVideo:
         return None if truth is None else truth[1:]
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How a reward agrees with the human's over a set of videos."""
-
-    videos: int
-    step: float
-    """Mean Spearman correlation over the steps of a video."""
-    step_undefined: int
-    """Videos left out of it: one of the two traces is constant."""
-    concordance: float
-    """Over pairs of frames that differ by more than 2 cm in r*."""
-    episode: float
-    """Rank correlation of the videos' sums."""
-
-
 class Scorer:
     """Scores videos by an encoder, or by r* itself when there is none.
 
@@ -152,19 +137,12 @@ class Scorer:
             words += f" with epsilon {config.epsilon:g}"
         return result.plan.numpy(), expert_id, words
 
-    def agreement(self, episode_ids: Sequence[str]) -> Agreement:
+    def agreement(self, episode_ids: Sequence[str]) -> measures.Agreement:
         """Measure the reward against r* on these videos."""
         videos = [v for v in map(self.score, episode_ids) if v.human is not None]
         rewards = [v.reward for v in videos]
         human = [v.human for v in videos if v.human is not None]
-        step = measures.spearman_per_step(rewards, human)
-        return Agreement(
-            videos=len(videos),
-            step=step.mean,
-            step_undefined=step.undefined,
-            concordance=measures.concordance(rewards, human).value,
-            episode=measures.episode_rank_correlation(rewards, human),
-        )
+        return measures.agreement(rewards, human)
 
     def _embed(self, episode: Episode) -> EmbeddedEpisode:
         assert self._encoder is not None

@@ -22,7 +22,7 @@ from rapl_core.representations.alignment import (
 )
 from rapl_core.representations.augmentation import Augmentation
 from rapl_core.representations.encoder import Encoder
-from rapl_core.representations.features import FeatureStore
+from rapl_core.representations.features import MIRRORED, FeatureStore
 from rapl_core.representations.heads import Embedder, linear_head
 from rapl_core.representations.methods import get_method
 from rapl_core.representations.presets import Preset
@@ -205,6 +205,7 @@ def learn_tcc(
     rng: np.random.Generator,
     method: str = "tcc",
     on_epoch: OnEpoch | None = None,
+    demonstrations: Sequence[str] | None = None,
 ) -> tuple[Encoder, TccReport]:
     """Learn an encoder from preferred demonstrations alone.
 
@@ -212,6 +213,8 @@ def learn_tcc(
     :param expert_ids: whose frames the reward is made with: for ``tcc`` their last ones are the
         goal, for ``tcc_ot`` they are the expert set.
     :param preset: features, statistics, dimension and, for ``tcc_ot``, transport.
+    :param demonstrations: videos that are learnt from, where others have features too: from an
+        expert set that was ranked nothing is learnt here. None: all.
     :raises RankingError: for fewer than two demonstrations, or experts without features.
     :raises ShapeError: if the features are not those of the preset.
     """
@@ -219,8 +222,15 @@ def learn_tcc(
     check_recipe(features, preset)
     if missing := [name for name in expert_ids if name not in features]:
         raise RankingError(f"{len(missing)} experts have no features, such as {missing[0]}")
-    embedder, losses = fit_tcc(features, preset.dimension, preset, config, rng, on_epoch)
-    return tcc_encoder(features, embedder, losses, expert_ids, preset, config, rng, method, started)
+    taught: Features = features
+    if demonstrations is not None:
+        wanted = set(demonstrations)
+        taught = {n: features[n] for n in features if _original(n).removeprefix(MIRRORED) in wanted}
+    embedder, losses = fit_tcc(taught, preset.dimension, preset, config, rng, on_epoch)
+    encoder, report = tcc_encoder(
+        features, embedder, losses, expert_ids, preset, config, rng, method, started
+    )
+    return encoder, replace(report, demonstrations=len(originals(taught)))
 
 
 def tcc_encoder(

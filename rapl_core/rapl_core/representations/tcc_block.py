@@ -40,16 +40,18 @@ def learn_tcc_block(
     weights: Path | None = None,
     method: str = "tcc",
     on_epoch: OnEpoch | None = None,
+    demonstrations: Sequence[str] | None = None,
 ) -> tuple[Encoder, TccReport]:
     """Learn last block and head from demonstrations; see :func:`tcc.learn_tcc`.
 
     Each video of a batch is shown changed (``config.augmentation``) unless ``config.views`` is 0.
 
-    :param videos: (T, H, W, 3) of each demonstration.
+    :param videos: (T, H, W, 3) of each demonstration and expert.
+    :param demonstrations: those that are learnt from; None: all.
     :param folder: gets the backbone's new weights.
     """
     started = time.monotonic()
-    names = sorted(videos)
+    names = sorted(videos if demonstrations is None else demonstrations)
     if len(names) < 2:
         raise RankingError(f"TCC needs two demonstrations or more, got {len(names)}")
     first = make_extractor(backbone, preset.recipe, weights)
@@ -85,8 +87,8 @@ def learn_tcc_block(
 
     losses = minimise(embed_batch, optimisers, config, rng, on_epoch)
     features = FeatureStore(network.trained(folder))
-    for name in names:
-        features.add(name, videos[name])
+    for name, frames in sorted(videos.items()):
+        features.add(name, frames)
     return tcc_encoder(
         features, embedder, losses, expert_ids, preset, config, rng, method, started,
         has_own_backbone=True,

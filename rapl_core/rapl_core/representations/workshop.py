@@ -127,11 +127,12 @@ class Workshop:
             encoder, report = learn_tcc_block(
                 videos, experts, self.backbone, self.preset, config, rng,
                 self.config.run_folder / "backbones", self.weights, self.method.name, self.on_epoch,
+                shown,
             )  # fmt: skip
         else:
-            features = self._features(self.preset.recipe, names, config.views, rng)
+            features = self._features(self.preset.recipe, names, config.views, rng, shown)
             encoder, report = learn_tcc(
-                features, experts, self.preset, config, rng, self.method.name, self.on_epoch
+                features, experts, self.preset, config, rng, self.method.name, self.on_epoch, shown
             )
         return Product(encoder, report.to_json())
 
@@ -190,11 +191,12 @@ class Workshop:
         names: Sequence[str] | None = None,
         views: int = 0,
         rng: np.random.Generator | None = None,
+        changed: Sequence[str] = (),
     ) -> FeatureStore:
         """Features of the pool's videos; those in no triplet serve the statistics.
 
         :param names: only of these videos.
-        :param views: randomly changed copies of each, drawn from ``rng``.
+        :param views: randomly changed copies of each that is in ``changed``, drawn from ``rng``.
         """
         names = [e.episode_id for e in self.pool] if names is None else list(names)
         extractor: FeatureExtractor = make_extractor(self.backbone, recipe, self.weights)
@@ -207,9 +209,9 @@ class Workshop:
             self.on_video(done, len(names))
             frames = self.episodes.frames(name)[1:]
             store.add(name, frames)
-            for view in range(views if rng else 0):
+            for view in range(views if rng and name in changed else 0):
                 assert rng is not None
-                changed = augment_video(frames, self.config.tcc.augmentation, rng)
-                store.add(f"{name}{VIEW_MARK}{view}", changed)
+                copy = augment_video(frames, self.config.tcc.augmentation, rng)
+                store.add(f"{name}{VIEW_MARK}{view}", copy)
         self.on_video(len(names), len(names))
         return store

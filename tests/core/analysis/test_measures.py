@@ -1,5 +1,7 @@
 """The measures against hand-made cases and scipy."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -117,9 +119,21 @@ def test_shares_of_gain_and_the_mix_of_videos() -> None:
     assert video_mix(["b", "a", "b"]) == {"a": 1, "b": 2}
 
 
-def test_a_landscape_gives_one_number_a_wish() -> None:
+def test_a_landscape_gives_one_number_a_wish_in_shares_of_its_range() -> None:
     way = np.array([0.0, 2.0, 1.0, 3.0, 4.0])
     found = wishes(way, [0, 1, 2], [4.0, 1.0], [0.0, 0.4])
     assert found.rise == pytest.approx(0.9) and found.pit == pytest.approx(0.25)
-    assert (found.alone, found.gap) == (0.5, 0.75) and found.arm == pytest.approx(0.1)
-    assert np.isnan(wishes([0.0, -1.0], [0], [0], [0.0]).rise)
+    assert (found.over_alone, found.gap) == (0.5, 0.75) and found.arm == pytest.approx(0.1)
+    larger = wishes(10 * way - 7, [-7, 3, 13], [33.0, 3.0], [-7.0, -3.0])
+    assert astuple(larger) == pytest.approx(astuple(found))
+    wrong = wishes([1.0, 0.0], [1.0], [0.0, 1.0], [1.0, 1.0])  # being done earns less than rest
+    assert (wrong.rise, wrong.over_alone, wrong.gap) == pytest.approx((-1.0, -1.0, -1.0))
+    assert np.isnan(wishes([2.0, 2.0], [2.0], [2.0], [2.0]).arm)
+
+
+def test_agreement_is_the_measures_of_the_same_videos() -> None:
+    rewards, human = [[0.0, 1.0, 2.0], [1.0, 1.0, 1.0]], [[0.0, 0.1, 0.2], [0.0, 0.1, 0.2]]
+    found = measures.agreement(rewards, human)
+    assert (found.videos, found.step, found.step_undefined) == (2, pytest.approx(1.0), 1)
+    assert found.concordance == measures.concordance(rewards, human).value
+    assert np.isnan(found.episode)  # both videos have the same sum of r*

@@ -119,6 +119,15 @@ def test_a_method_makes_a_checkpoint_that_is_swapped_in_by_its_name(
     reward_on_both_sides(again, EpisodeStore(run_folder / "episodes"))
 
 
+def test_both_rewards_of_tcc_read_one_representation(run_folder: Path) -> None:
+    goal, matched = (make(run_folder, method) for method in ("tcc", "tcc_ot"))
+    assert set(matched.encoder.expert_ids) - set(goal.encoder.expert_ids)  # not demonstrations
+    frames = EpisodeStore(run_folder / "episodes").frames(EXPERTS[0])
+    np.testing.assert_array_equal(goal.encoder.embed(frames), matched.encoder.embed(frames))
+    assert goal.report and matched.report
+    assert goal.report["demonstrations"] == matched.report["demonstrations"] == 3
+
+
 def test_a_folder_of_weights_serves_a_swap_without_a_checkpoint(
     r3m_weights: Path, tmp_path: Path
 ) -> None:

@@ -1,18 +1,19 @@
-"""Scenes placed by hand or at random: what a reward says of them, beside the human's own.
+"""Scenes of franka_group placed by hand or at random: what a reward says of them, beside r*.
 
-No video of the pool shows most of them; the robot, which tries everything, meets them all.
+No video of a pool shows most of them; the robot, which tries everything, meets them all. A
+landscape costs seconds and shows what correlations on videos hide.
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
+from rapl_core.analysis.measures import Wishes, spearman, wishes
 from rapl_core.representations import Encoder
 from rapl_core.simulation.simulation import Simulation
 from rapl_core.tasks import get_task
@@ -26,33 +27,32 @@ Scene = tuple[Point, Point, Point]
 PATH = np.linspace(-0.05, 0.28, 9)
 LANES = (-0.08, 0.0, 0.08)
 RANDOM_SCENES = 600
-STILL_FRAMES = 10
-"""A scene alone is judged as a video of so many frames alike, as transport wants."""
 SLOWED = 7
 """A way through the task is slowed down to a video's length."""
 TRUTH = "human's reward r*"
+
+TOGETHER = ("both together, side by side", "both together, in a column")
+ALONE = ("red alone", "green alone")
+GAP = "gap growing in the goal"
+ARM = "arm alone"
 
 
 def ways(lane: float) -> dict[str, list[Scene]]:
     """Ways through the task, each as scenes in order."""
     y = lane
     return {
-        "both together, side by side": [
-            ((x - 0.07, y), (x, y), (x + 0.02, y + 0.07)) for x in PATH
-        ],
-        "both together, in a column": [
-            ((x - 0.07, y), (x, y), (min(x + 0.065, 0.345), y)) for x in PATH
-        ],
-        "red alone": [((x - 0.07, y), (x, y), (0.04, y + 0.11)) for x in PATH],
-        "green alone": [((x - 0.07, y + 0.11), (-0.05, y), (x, y + 0.11)) for x in PATH],
+        TOGETHER[0]: [((x - 0.07, y), (x, y), (x + 0.02, y + 0.07)) for x in PATH],
+        TOGETHER[1]: [((x - 0.07, y), (x, y), (min(x + 0.065, 0.345), y)) for x in PATH],
+        ALONE[0]: [((x - 0.07, y), (x, y), (0.04, y + 0.11)) for x in PATH],
+        ALONE[1]: [((x - 0.07, y + 0.11), (-0.05, y), (x, y + 0.11)) for x in PATH],
         "green fetched, red in the goal": [
             ((x - 0.07, y + 0.11), (0.28, y), (x, y + 0.11)) for x in PATH
         ],
-        "gap growing in the goal": [
+        GAP: [
             ((0.18, y), (0.26, y - gap / 2), (0.26, y + gap / 2))
             for gap in np.linspace(0.065, 0.35, len(PATH))
         ],
-        "arm alone": [((x - 0.07, y - 0.1), (-0.05, y), (0.04, y + 0.11)) for x in PATH],
+        ARM: [((x - 0.07, y - 0.1), (-0.05, y), (0.04, y + 0.11)) for x in PATH],
     }
 
 
@@ -77,15 +77,39 @@ def random_scene(rng: np.random.Generator) -> Scene:
 
 
 @dataclass(frozen=True)
-class Scenes:
-    """Pictures and r* of all scenes; those of the ways come first.
+class Landscape:
+    """What a reward says of the scenes."""
 
-    :param frames: (N, H, W, 3).
-    :param human: (N,) r*.
-    """
+    spearman: float
+    """Rank correlation with r* over the random scenes; NaN for a reward that is the same in all."""
+    ways: Mapping[str, NDArray[np.float64]]
+    """By way (N,) values along it, mean over lanes, in the reward's own unit."""
+
+    def scaled(self) -> dict[str, list[float]]:
+        """The ways, 0 with the arm alone at rest and 1 with both cubes in the goal."""
+        low, high = self.ways[ARM][0], self.ways[TOGETHER[0]][-1]
+        return {name: ((way - low) / (high - low)).tolist() for name, way in self.ways.items()}
+
+    def wishes(self) -> Wishes:
+        """One number for each wish that a reward of this task must express."""
+        together, alone = (
+            np.mean([self.ways[name] for name in names], axis=0) for names in (TOGETHER, ALONE)
+        )
+        return wishes(together, alone, self.ways[GAP], self.ways[ARM])
+
+    def to_json(self) -> dict[str, Any]:
+        """``spearman``, and ``ways`` as :meth:`scaled`."""
+        return {"spearman": self.spearman, "ways": self.scaled()}
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """Pictures and r* of all scenes; those of the ways come first."""
 
     frames: NDArray[np.uint8]
+    """(N, H, W, 3)."""
     human: NDArray[np.float64]
+    """(N,) r*."""
 
     @classmethod
     def drawn(cls, work: Path) -> "Scenes":
@@ -99,31 +123,34 @@ class Scenes:
         with np.load(kept) as content:
             return cls(content["frames"], content["human"])
 
-    def judge(self, encoder: Encoder, experts: Sequence[EmbeddedEpisode]) -> dict[str, Any]:
+    def judge(
+        self,
+        encoder: Encoder,
+        experts: Sequence[EmbeddedEpisode],
+        embedded: NDArray[np.float32] | None = None,
+    ) -> Landscape:
         """What the encoder's reward says.
 
-        ``spearman``: rank correlation with r* over the random scenes; ``ways``: values along each
-        way, mean over lanes, 0 with the arm alone at rest and 1 with both cubes in the goal.
+        :param embedded: (N, D) the scenes through the encoder, where they are known.
         """
-        embedded = encoder.embed(self.frames)
+        z = encoder.embed(self.frames) if embedded is None else embedded
 
-        def still(z: NDArray[np.float32]) -> float:
-            return float(encoder.reward(np.repeat(z[None], STILL_FRAMES, 0), experts).values.mean())
+        def alone(frame: NDArray[np.float32]) -> float:
+            # frames that are all alike are transported at one cost, however many they are
+            return float(encoder.reward(frame[None], experts).values[0])
 
-        def slowed(z: NDArray[np.float32]) -> NDArray[np.float64]:
-            values = encoder.reward(np.repeat(z, SLOWED, 0), experts).values
-            return values.reshape(len(z), SLOWED).mean(axis=1)
+        def slowed(way: NDArray[np.float32]) -> NDArray[np.float64]:
+            values = encoder.reward(np.repeat(way, SLOWED, 0), experts).values
+            return values.reshape(len(way), SLOWED).mean(axis=1)
 
         at = self._of_ways
-        values = [still(z) for z in embedded[at:]]
-        return {
-            "spearman": float(spearmanr(values, self.human[at:]).statistic),
-            "ways": self._along_ways(embedded[:at], slowed),
-        }
+        values = [alone(frame) for frame in z[at:]]
+        return Landscape(spearman(values, self.human[at:]), self._along_ways(z[:at], slowed))
 
-    def truth(self) -> dict[str, list[float]]:
-        """r* along each way, as :meth:`judge`."""
-        return self._along_ways(self.human[: self._of_ways], lambda values: values)
+    def truth(self) -> Landscape:
+        """The landscape of r* itself."""
+        at = self._of_ways
+        return Landscape(1.0, self._along_ways(self.human[:at], lambda values: values))
 
     @property
     def _of_ways(self) -> int:
@@ -131,15 +158,13 @@ class Scenes:
 
     def _along_ways(
         self, each: NDArray[Any], rate: Callable[[NDArray[Any]], NDArray[np.float64]]
-    ) -> dict[str, list[float]]:
+    ) -> dict[str, NDArray[np.float64]]:
         names = list(ways(0.0))
         by_lane = each.reshape(len(LANES), len(names), len(PATH), *each.shape[1:])
-        means = {
+        return {
             name: np.mean([rate(lane[number]) for lane in by_lane], axis=0)
             for number, name in enumerate(names)
         }
-        low, high = means["arm alone"][0], means["both together, side by side"][-1]
-        return {name: ((mean - low) / (high - low)).tolist() for name, mean in means.items()}
 
 
 def _draw() -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
