@@ -21,7 +21,7 @@ from rapl_core.types import Episode
 HERE = Path(__file__).parent
 sys.path.append(str(HERE.parent / "franka_group"))
 
-from learn import TASK, make_videos  # noqa: E402
+from videos import TASK, make_videos  # noqa: E402
 
 POOL, TEST = 300, 100
 

@@ -44,7 +44,7 @@ from rapl_core.types import EmbeddedEpisode, Episode
 
 sys.path.append(str(Path(__file__).parents[1] / "franka_group"))
 
-from learn import make_videos, rank  # noqa: E402
+from videos import make_videos, rank  # noqa: E402
 
 POOL, TEST, TRIPLETS = 300, 100, 150
 MASKED_FRAMES = 20
