@@ -17,6 +17,7 @@ from rapl_core.analysis.measures import Wishes, spearman, wishes
 from rapl_core.representations import Encoder
 from rapl_core.simulation.simulation import Simulation
 from rapl_core.tasks import get_task
+from rapl_core.tasks.tabletop import TabletopDynamics
 from rapl_core.types import EmbeddedEpisode
 
 TASK = "franka_group"
@@ -141,7 +142,7 @@ class Scenes:
 
         def slowed(way: NDArray[np.float32]) -> NDArray[np.float64]:
             values = encoder.reward(np.repeat(way, SLOWED, 0), experts).values
-            return values.reshape(len(way), SLOWED).mean(axis=1)
+            return np.asarray(values.reshape(len(way), SLOWED).mean(axis=1))
 
         at = self._of_ways
         values = [alone(frame) for frame in z[at:]]
@@ -169,13 +170,15 @@ class Scenes:
 
 def _draw() -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     simulation = Simulation(get_task(TASK))
+    dynamics = simulation.dynamics
+    assert isinstance(dynamics, TabletopDynamics)
     frames, human = [], []
 
     def place(scene: Scene) -> None:
         gripper, red, green = (np.array(point) for point in scene)
-        simulation.dynamics.place(simulation.data[0], gripper, [red, green])
+        dynamics.place(simulation.data[0], gripper, [red, green])
         frames.append(simulation.render(0))
-        state = simulation.dynamics.state(simulation.data[0])
+        state = dynamics.state(simulation.data[0])
         human.append(simulation.task.human_reward(state, state))
 
     for lane in LANES:
