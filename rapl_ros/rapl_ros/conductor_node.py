@@ -74,6 +74,7 @@ class ConductorNode(RaplNode):
         self._book = StageBook(self.folder)
         self._progress = self.publish_to(Progress, topics.PROGRESS, qos.progress())
         self._published_s = -math.inf
+        self._stage = ""
         self._needed = needed_stages(self.run)
         self._meter = self._meter_of(self._needed[0])
         self._stage_context = StageContext(
@@ -113,6 +114,8 @@ class ConductorNode(RaplNode):
         self._book.forget(later.name for later in STAGES[STAGES.index(stage) + 1 :])
         for attempt in range(1, ATTEMPTS + 1):
             self._book.begin(stage.name)
+            self._stage = stage.name
+            self._published_s = -math.inf  # its first word, however soon after the last stage's
             self.heartbeat.report("active", stage.name)
             began_s, peers = time.monotonic(), self._incarnations()
             try:
@@ -157,7 +160,7 @@ class ConductorNode(RaplNode):
             self.heartbeat.report("waiting", what)
             self._publish(self._meter.waiting(what))
         else:
-            self.heartbeat.report("active")
+            self.heartbeat.report("active", self._stage)
 
     def _publish(self, progress: StageProgress) -> None:
         self._published_s = time.monotonic()
