@@ -132,7 +132,7 @@ class PreferenceNode(RaplNode):
 
     def _on_unreadable(self, msg: String) -> None:
         """Somebody could not show a video: look, and ask about it no more if that is so."""
-        if msg.data not in self._pool:
+        if msg.data not in self._pool and msg.data not in self._own:
             return
         try:
             self._episodes.frames(msg.data)
@@ -141,13 +141,15 @@ class PreferenceNode(RaplNode):
 
     def _take_out(self, episode_ids: set[str], reason: str) -> None:
         self._pool -= episode_ids
+        for episode_id in episode_ids:
+            self._own.discard(episode_id)
         self._unreadable |= episode_ids
         names = ", ".join(sorted(self._unreadable))
         self.diagnostics.warn("unreadable videos", f"asked about no more: {names} ({reason})")
 
     def _forget_missing(self) -> bool:
         """Take videos whose files are gone out of the pool; return whether there were any."""
-        gone = {video for video in self._pool if video not in self._episodes}
+        gone = {video for video in self._pool.union(self._own) if video not in self._episodes}
         if gone:
             self._take_out(gone, "their files are gone")
         return bool(gone)
@@ -175,13 +177,18 @@ class PreferenceNode(RaplNode):
         return response
 
     def _next_query(self, wish: QueryRequest, strategy: str) -> Query:
-        desk, selector = QueryDesk(self._store, self.config), self._selector(strategy, wish.size)
         try:
-            return desk.next(wish, self._asked_about(strategy), selector)
+            return self._ask_next(wish, strategy)
         except RankingError:
             if not self._forget_missing():
                 raise
-        return desk.next(wish, self._asked_about(strategy), selector)
+        return self._ask_next(wish, strategy)
+
+    def _ask_next(self, wish: QueryRequest, strategy: str) -> Query:
+        desk, selector = QueryDesk(self._store, self.config), self._selector(strategy, wish.size)
+        # Of what was begun before, only what is about the learner's new videos helps it now.
+        about = self._own.new(most=None) if strategy == OWN else None
+        return desk.next(wish, self._asked_about(strategy), selector, about)
 
     def _asked_about(self, strategy: str) -> set[str]:
         return self._pool.union(self._own) if strategy == OWN else self._pool

@@ -61,16 +61,23 @@ class OwnVideos:
         """
         self._stamps_ns[episode_id] = stamp_ns
 
+    def discard(self, episode_id: str) -> None:
+        """A video cannot be shown."""
+        self._stamps_ns.pop(episode_id, None)
+
+    def __contains__(self, episode_id: object) -> bool:
+        return episode_id in self._stamps_ns
+
     def __iter__(self) -> Iterator[str]:
         """All videos of the learner."""
         return iter(self._stamps_ns)
 
-    def new(self, most: int = MOST_NEW) -> tuple[str, ...]:
-        """The new videos by age, the newest so many."""
+    def new(self, most: int | None = MOST_NEW) -> tuple[str, ...]:
+        """The new videos by age, the newest so many; None: all."""
         fresh = sorted(
             (stamp, name) for name, stamp in self._stamps_ns.items() if stamp > self._known_ns
         )
-        return tuple(name for _, name in fresh[-most:])
+        return tuple(name for _, name in fresh[-most if most else 0 :])
 
     @property
     def newest_ns(self) -> int:

@@ -75,18 +75,40 @@ class QueryDesk:
         request: QueryRequest,
         pool: Collection[str],
         selector: QuerySelector | None = None,
+        about: Collection[str] | None = None,
     ) -> Query:
         """Lease the next query of an annotator.
 
         :param pool: the videos there are.
         :param selector: chooses new videos; None: uniformly.
+        :param about: give back only what shows one of these; None: whatever is open.
         :raises RankingError: if there is nothing to ask.
         """
 
         def choose(ledger: Ledger) -> Choice | Query:
-            return self._choose(ledger, request, pool, selector)
+            return self._open(ledger, request, pool, about) or self._choose(
+                ledger, request, pool, selector
+            )
 
         return self._store.lease_next(choose, request.annotator, self.config.lease_s)
+
+    def _open(
+        self,
+        ledger: Ledger,
+        request: QueryRequest,
+        pool: Collection[str],
+        about: Collection[str] | None,
+    ) -> Query | None:
+        """What the annotator has begun and is to go on with."""
+        if not request.resume:
+            return None
+        there = set(pool)
+        for query in ledger.open_queries(time.time_ns(), request.annotator):
+            if query.query_id in request.held or not there.issuperset(query.episode_ids):
+                continue
+            if about is None or not set(about).isdisjoint(query.episode_ids):
+                return query
+        return None
 
     def _choose(
         self,
@@ -94,13 +116,8 @@ class QueryDesk:
         request: QueryRequest,
         pool: Collection[str],
         selector: QuerySelector | None,
-    ) -> Choice | Query:
+    ) -> Choice:
         now = time.time_ns()
-        if request.resume:
-            there = set(pool)
-            for query in ledger.open_queries(now, request.annotator):
-                if query.query_id not in request.held and there.issuperset(query.episode_ids):
-                    return query
         # The number of queries before is part of the seed: a restart goes on, not back.
         rng = np.random.default_rng([self.config.seed, ledger.queries])
         purpose = cast(QueryPurpose, request.purpose or self._purpose(rng))

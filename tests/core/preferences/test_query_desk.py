@@ -70,6 +70,17 @@ def test_a_query_about_a_video_that_is_gone_does_not_come_back(store: RankingSto
     assert back.query_id != shown.query_id and set(back.episode_ids) <= set(left)
 
 
+def test_what_is_no_longer_asked_about_does_not_come_back(store: RankingStore) -> None:
+    one = desk(store)
+    shown = one.next(QueryRequest("ada"), POOL)
+    resumed = QueryRequest("ada", resume=True)
+    others = [video for video in POOL if video not in shown.episode_ids]
+    later = one.next(resumed, POOL, about=others)
+    assert later.query_id != shown.query_id
+    assert one.next(resumed, POOL, about=[]).query_id not in {shown.query_id, later.query_id}
+    assert one.next(resumed, POOL, about=shown.episode_ids[:1]).query_id == shown.query_id
+
+
 def test_a_repeat_is_what_the_same_person_has_answered_and_is_asked_once(
     store: RankingStore,
 ) -> None:
