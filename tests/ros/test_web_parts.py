@@ -239,6 +239,18 @@ def test_the_board_keeps_the_newest_and_knows_no_nan(tmp_path: Path) -> None:
     assert [point.steps for point in board.view().metrics] == [5], "another training"
 
 
+def test_the_board_says_in_which_stage_the_run_is_and_when_it_is_over(tmp_path: Path) -> None:
+    board = LiveBoard(tmp_path, "franka_group", [])
+    said = [board.stage]
+    for stage, index, status in (
+        ("rank", 2, "done"), ("train", 4, "running"), ("rank", 2, "running"), ("train", 4, "done"),
+        ("report", 6, "running"), ("report", 6, "failed"), ("report", 6, "done"),
+    ):  # fmt: skip
+        board.add_progress(StageProgress(stage, index, 6, status, 3, 9, "", 0.1, math.nan))
+        said.append(board.stage)
+    assert said == ["", "rank", "train", "train", "train", "report", "report", "over"]
+
+
 def test_the_page_is_told_again_when_it_has_moved(tmp_path: Path) -> None:
     said = io.StringIO()
     request: Any = SimpleNamespace(web_host="0.0.0.0", folder=tmp_path)

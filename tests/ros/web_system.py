@@ -1,6 +1,8 @@
 """The page as people have it: real nodes `preference` and `web` on a folder of videos."""
 
 import os
+import subprocess
+import sys
 import time
 import uuid
 from collections.abc import Iterator
@@ -17,6 +19,7 @@ from ros_harness import NodeProcess
 from rapl_core.episodes import EpisodeStore
 from rapl_core.preferences import RankingStore
 from rapl_core.types import Episode
+from rapl_ros import topics
 from rapl_ros.run_config import WEB_ADDRESS_FILE
 
 START_S = 120.0
@@ -39,16 +42,19 @@ def make_frames(number: int, frames: int, size: int) -> NDArray[np.uint8]:
     return pictures
 
 
-def make_videos(folder: Path, count: int, frames: int = 31, size: int = 112) -> list[str]:
+def make_videos(
+    folder: Path, count: int, frames: int = 31, size: int = 112, purpose: str = "demonstrate"
+) -> list[str]:
     """Write videos into a run folder and return their ids."""
+    name = "secret" if purpose == "demonstrate" else purpose
     store = EpisodeStore(folder / "episodes")
     for number in range(count):
         store.add(
             Episode(
-                episode_id=f"secret-{number:03d}",
+                episode_id=f"{name}-{number:03d}",
                 task="franka_group",
                 world=0,
-                purpose="demonstrate",
+                purpose=purpose,
                 controller="demonstrator",
                 frames=make_frames(number, frames, size),
                 states=np.zeros((frames, 2)),
@@ -82,6 +88,12 @@ class WebSystem:
         if self.token:
             headers.setdefault("Authorization", f"Bearer {self.token}")
         return httpx.Client(base_url=self.address, headers=headers, timeout=30.0)
+
+    def set_preference(self, name: str, value: Any) -> None:
+        """Set a parameter of the preference node, as the conductor does while it runs."""
+        command = [sys.executable, "-m", "rapl_ros.ros2_standin", "param", "set"]
+        command += [f"/rapl/{topics.PREFERENCE}", name, str(value)]
+        subprocess.run(command, check=True, timeout=START_S, capture_output=True)
 
     def store(self) -> RankingStore:
         """The rankings on disk."""

@@ -21,6 +21,7 @@ PHONE = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touc
 def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebSystem]:
     folder = tmp_path_factory.mktemp("run")
     make_videos(folder, VIDEOS, frames=11, size=64)
+    make_videos(folder, 8, frames=11, size=64, purpose="train")
     with web_system(folder, preference_rankings_wanted=WANTED) as running:
         yield running
 
@@ -263,10 +264,7 @@ def test_when_there_are_enough_the_page_says_so_and_fetches_no_more_ahead(
     visit: Callable[..., Any], system: WebSystem
 ) -> None:
     page = visit("enough")
-    with system.store() as store:
-        for number in range(WANTED):
-            videos = (f"secret-{number % 20:03d}", "secret-030", "secret-031")
-            store.add(Ranking(f"crowd-{number}", "crowd", videos, (1, 2, 3)))
+    give_enough(system)
     rank(page)
     assert page.inner_text("#standing-more") == "· Enough for now, thank you."
     rank(page)  # what was fetched ahead before
@@ -275,3 +273,46 @@ def test_when_there_are_enough_the_page_says_so_and_fetches_no_more_ahead(
     rank(page)  # asked for when it is wanted
     page.wait_for_timeout(500)
     assert sum("api/queries" in url for url in asked) == 1
+
+
+def test_when_more_is_wanted_videos_of_before_make_way_for_those_of_the_robot(
+    visit: Callable[..., Any], system: WebSystem
+) -> None:
+    give_enough(system)
+    idle, busy, late = (visit(name) for name in ("idle", "busy", "late"))
+    for page in (idle, busy):
+        page.wait_for_function(ENOUGH)
+    busy.keyboard.press("1")  # begins an order that nobody may take away
+    late.wait_for_load_state("networkidle")
+    before = {page: query(page) for page in (idle, busy, late)}
+    with system.store() as store:
+        wanted = sum(row.verdict == "ranked" for row in store.effective()) + 20
+    system.set_preference("strategy", "own")  # in this order, as the run does
+    system.set_preference("rankings_wanted", wanted)
+    until_next(idle, before[idle])
+    assert shows_own_videos(idle, system)
+    busy.wait_for_function("() => document.getElementById('standing-more').textContent[2] === '2'")
+    assert query(busy) == before[busy] and busy.locator(".places input:checked").count() == 1
+    rank(busy, "2")
+    assert shows_own_videos(busy, system)
+    idle.reload()
+    idle.wait_for_selector("body[data-query]")
+    assert shows_own_videos(idle, system), "nor does what was begun before come back"
+
+
+ENOUGH = "() => document.getElementById('standing-more').textContent.includes('Enough')"
+
+
+def give_enough(system: WebSystem) -> None:
+    """As many rankings as are wanted, by others."""
+    with system.store() as store:
+        for number in range(WANTED):
+            videos = (f"secret-{number % 20:03d}", "secret-030", "secret-031")
+            store.add(Ranking(f"crowd-{number}", "crowd", videos, (1, 2, 3)))
+
+
+def shows_own_videos(page: Any, system: WebSystem) -> bool:
+    """Whether the robot's own videos are on the screen."""
+    with system.store() as store:
+        videos = store.query(query(page)).episode_ids
+    return sum(video.startswith("train-") for video in videos) == 2

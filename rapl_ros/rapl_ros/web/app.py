@@ -131,7 +131,8 @@ class WebApp:
         async def progress(annotator: AnnotatorName | None = None) -> Progress:
             """How far the rankings are, and who gave them; of one annotator, only the own row."""
             found = await self._preference.progress()
-            return _of_one(found, annotator).model_copy(update={"question": self._question})
+            here = {"question": self._question, "stage": self._board.stage}
+            return _of_one(found, annotator).model_copy(update=here)
 
         @api.get(
             "/api/videos/{key}.webp",

@@ -174,6 +174,16 @@ class LiveBoard:
                     return
             self._rewards.append(reward)
 
+    @property
+    def stage(self) -> str:
+        """Stage that the run is in; ``over`` after the last one, empty while none is known."""
+        with self._lock:
+            if not self._stages:
+                return ""
+            newest = self._stages[max(self._stages)]
+        is_over = newest.status == "done" and newest.index == newest.stages
+        return "over" if is_over else newest.stage
+
     def view(self) -> LiveView:
         """Return the page's content."""
         curve = self._evaluations()

@@ -154,6 +154,8 @@ class Progress(BaseModel):
     standing: Standing
     question: str = ""
     """What people are asked."""
+    stage: str = ""
+    """Of the run, such as `train`; `over` after the last, empty if unknown."""
     videos: int
     agreement: float | None
     agreement_pairs: int

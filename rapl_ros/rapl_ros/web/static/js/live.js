@@ -21,9 +21,11 @@ function make(name, className, ...content) {
 function showStages({ stages }) {
   const known = new Map(stages.map((stage) => [stage.name, stage]));
   const names = [...STAGES, ...[...known.keys()].filter((name) => !STAGES.includes(name))];
+  // A server that came late has not heard of all: what is before a known stage is done.
+  const latest = STAGES.findLastIndex((name) => known.has(name));
   byId("stages").replaceChildren(
-    ...names.map((name) => {
-      const stage = known.get(name) ?? { status: "to come", done: 0, total: 0 };
+    ...names.map((name, index) => {
+      const stage = known.get(name) ?? { status: index < latest ? "done" : "to come", done: 0, total: 0 };
       const item = make("li", "", make("span", "", name));
       item.dataset.status = stage.status;
       const bar = document.createElement("progress");

@@ -65,6 +65,22 @@ function fetchAhead() {
     .finally(() => (fetching = null));
 }
 
+function dropAhead() {
+  for (const { sheets } of ahead) closeSheets(sheets);
+  ahead = [];
+}
+
+// More is wanted again, about what the robot does now: videos of before make way, unless they are
+// being ranked.
+async function lookForMore() {
+  if (!standing.enough || document.hidden || !settings.name) return;
+  const isMore = await standing.refresh();
+  if (!isMore || busy || !ranking?.empty) return;
+  dropAhead();
+  toast("There is more to rank.");
+  await advance();
+}
+
 // Show the next query, as soon as there is one. answeredAt: when the person pressed save.
 async function advance(answeredAt = null) {
   const mine = ++round;
@@ -232,7 +248,7 @@ async function answer(verdict) {
     setBusy(false);
   }
   if (!stored) return;
-  standing.show(stored.standing);
+  if (standing.show(stored.standing)) dropAhead();
   hideToast();
   byId("undo").disabled = false;
   say("Saved. Next videos.");
@@ -324,8 +340,7 @@ async function undo() {
 // Who
 
 function begin() {
-  for (const { sheets } of ahead) closeSheets(sheets);
-  ahead = [];
+  dropAhead();
   undoing = null;
   showName();
   if (!settings.helped) {
@@ -359,7 +374,8 @@ function start() {
     help: openHelp,
   });
   // Enough for now is not enough for good: more is asked about what the robot then does.
-  setInterval(() => standing.enough && !document.hidden && standing.refresh(), ENOUGH_LOOK_MS);
+  setInterval(lookForMore, ENOUGH_LOOK_MS);
+  document.addEventListener("visibilitychange", lookForMore);
   if (!settings.name) return askName();
   showName();
   advance();
