@@ -9,6 +9,7 @@ import io
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future as ThreadFuture
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from PIL import Image as PillowImage
@@ -34,7 +35,7 @@ from rapl_ros.conversions.people import (
 from rapl_ros.node import RaplNode
 from rapl_ros.web.live import JobView, LiveBoard
 from rapl_ros.web.ports import TakenBack
-from rapl_ros.web.problems import conflict, unavailable
+from rapl_ros.web.problems import RefusedError, conflict, unavailable
 from rapl_ros.web.schemas import Progress, Standing
 
 ASK_S = 15.0
@@ -75,7 +76,7 @@ class WebGraph:
         self._align = ActionClient(node, Align, topics.of_node(topics.ALIGN, topics.PREFERENCE))
         self._set_encoder = node.create_client(SetParameters, f"{topics.ENCODER}/set_parameters")
         self._unreadable = node.publish_to(String, topics.UNREADABLE_EPISODE, qos.event())
-        self._wanted = 0
+        self._wanted: int | None = None
         self._image: Image | None = None
         self._asked_s = float("-inf")
 
@@ -96,7 +97,7 @@ class WebGraph:
         response = await self._call(self._submit, request)
         if not response.success:
             raise conflict("refused", _sentence(response.message))
-        return self._with_wanted(standing_from_ros(response))
+        return await self._with_wanted(standing_from_ros(response))
 
     async def undo(self, annotator: str, withdrawal_id: str, ranking_id: str) -> TakenBack:
         """Take back a ranking; see the port."""
@@ -107,7 +108,7 @@ class WebGraph:
         if not response.success:
             raise conflict("nothing_to_undo", _sentence(response.message))
         taken = _read(taken_back_from_ros, response)
-        return TakenBack(taken.ranking, taken.query, self._with_wanted(taken.standing))
+        return TakenBack(taken.ranking, taken.query, await self._with_wanted(taken.standing))
 
     async def progress(self) -> Progress:
         """How far the rankings are; see the port."""
@@ -200,9 +201,14 @@ class WebGraph:
     async def _call(self, client: Any, request: Any) -> Any:
         return await self._ask(lambda: call(self._node, client, request, ASK_S))
 
-    def _with_wanted(self, standing: Standing) -> Standing:
+    async def _with_wanted(self, standing: Standing) -> Standing:
         """An answer says how many are needed still; how many are wanted follows, if any are."""
-        wanted = standing.given + standing.needed if standing.needed else self._wanted
+        if standing.needed:
+            self._wanted = standing.given + standing.needed
+        elif self._wanted is None:  # nobody has asked since this node began
+            with suppress(RefusedError):  # the answer is on disk all the same
+                await self.progress()
+        wanted = self._wanted or 0
         return Standing(given=standing.given, needed=standing.needed, wanted=wanted)
 
     # On the executor

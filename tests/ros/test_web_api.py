@@ -221,3 +221,18 @@ def outcome(client: httpx.Client, job: str) -> dict[str, Any]:
         assert time.monotonic() < end, view
         time.sleep(0.3)
     return view
+
+
+def test_a_restarted_page_says_that_there_are_enough_with_the_answer_that_makes_it_so(
+    tmp_path: Path,
+) -> None:
+    make_videos(tmp_path, 5, frames=3, size=16)
+    with web_system(tmp_path, preference_rankings_wanted=2) as system:
+        with system.client() as client:
+            first = client.post("api/rankings", json=answer_to(ask(client, "ada"), "ada"))
+            assert first.json()["standing"] == {"given": 1, "wanted": 2, "needed": 1}
+        system.web.stop()
+        system.web.restart()
+        with WebSystem(tmp_path, system.preference, system.web).client() as client:
+            last = client.post("api/rankings", json=answer_to(ask(client, "ada"), "ada"))
+            assert last.json()["standing"] == {"given": 2, "wanted": 2, "needed": 0}

@@ -20,6 +20,7 @@ const LOADING_SHOWN_MS = 250;
 const PASSED_OVER = 4; // queries whose videos cannot be read
 const REFRESH_EVERY = 10; // answers
 const ENOUGH_LOOK_MS = 5000; // whether there is more to rank again
+const AT_WORK_MS = 10000; // somebody may still be looking at videos shown so lately
 const byId = (id) => document.getElementById(id);
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
@@ -31,6 +32,7 @@ let round = 0; // of showing something: who began in an earlier one gives way
 let busy = false; // something is being saved or taken back
 let shownAt = 0;
 let answered = 0;
+let isOld = false; // what is shown was given out before more was wanted
 let unsure = null; // an answer that was sent and whose fate is unknown
 let undoing = null; // {id, target} of an undo whose fate is unknown
 
@@ -70,12 +72,13 @@ function dropAhead() {
   ahead = [];
 }
 
-// More is wanted again, about what the robot does now: videos of before make way, unless they are
-// being ranked.
+// More is wanted again, about what the robot does now: videos of before make way, but not under the
+// eyes of somebody who is at work on them.
 async function lookForMore() {
-  if (!standing.enough || document.hidden || !settings.name) return;
-  const isMore = await standing.refresh();
-  if (!isMore || busy || !ranking?.empty) return;
+  if (document.hidden || !settings.name) return;
+  if (standing.enough && (await standing.refresh())) isOld = true;
+  if (!isOld || busy || !ranking?.empty || performance.now() - shownAt < AT_WORK_MS) return;
+  isOld = false;
   dropAhead();
   toast("There is more to rank.");
   await advance();
@@ -248,7 +251,8 @@ async function answer(verdict) {
     setBusy(false);
   }
   if (!stored) return;
-  if (standing.show(stored.standing)) dropAhead();
+  if (standing.show(stored.standing) || isOld) dropAhead();
+  isOld = false;
   hideToast();
   byId("undo").disabled = false;
   say("Saved. Next videos.");
