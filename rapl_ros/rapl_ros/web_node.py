@@ -79,7 +79,7 @@ class WebNode(RaplNode):
         self.config = declare_config(self, WebConfig())
         folder = self.config.run_folder
         run = _run_of(folder)
-        self._board = LiveBoard(folder, run.task, NODES)
+        self._board = LiveBoard(folder, run.task, NODES, topics.CONDUCTOR)
         self._graph = WebGraph(self, self._board, run.reward if run.aligns else "rapl", run.preset)
         self._sheets = SheetCache(EpisodeStore(folder / "episodes"))
         self._server: ServerThread | None = None

@@ -251,6 +251,18 @@ def test_the_board_says_in_which_stage_the_run_is_and_when_it_is_over(tmp_path: 
     assert said == ["", "rank", "train", "train", "train", "report", "report", "over"]
 
 
+def test_a_conductor_that_has_done_its_work_is_not_missed(tmp_path: Path) -> None:
+    board = LiveBoard(tmp_path, "franka_group", ["learner", "conductor"], "conductor")
+    for state in board.nodes.values():
+        state.seen = True
+    seen = []
+    for status in ("running", "done"):
+        board.add_progress(StageProgress("report", 6, 6, status, 1, 1, "", 0.1, math.nan))
+        seen.append([(node.health, node.status) for node in board.view().nodes])
+    gone, done = ("gone", "gone"), ("absent", "done")
+    assert seen == [[gone, gone], [gone, done]]
+
+
 def test_the_page_is_told_again_when_it_has_moved(tmp_path: Path) -> None:
     said = io.StringIO()
     request: Any = SimpleNamespace(web_host="0.0.0.0", folder=tmp_path)

@@ -130,10 +130,13 @@ class LiveBoard:
     :param run_folder: has the learning curve and the encoders' checkpoints.
     :param task: name of the task; empty if unknown.
     :param nodes: names of the nodes, in the order in which to show them.
+    :param conductor: the one that ends with the last stage.
     """
 
-    def __init__(self, run_folder: Path, task: str, nodes: Iterable[str]) -> None:
-        self._folder, self._task = run_folder, task
+    def __init__(
+        self, run_folder: Path, task: str, nodes: Iterable[str], conductor: str = ""
+    ) -> None:
+        self._folder, self._task, self._conductor = run_folder, task, conductor
         self._lock = threading.Lock()
         self._stages: dict[int, StageProgress] = {}
         self._metrics: list[LearnerMetrics] = []
@@ -186,7 +189,7 @@ class LiveBoard:
 
     def view(self) -> LiveView:
         """Return the page's content."""
-        curve = self._evaluations()
+        curve, nodes = self._evaluations(), self._node_views()
         with self._lock:
             last = self._metrics[-1] if self._metrics else None
             return LiveView(
@@ -201,11 +204,21 @@ class LiveBoard:
                 rewards=list(self._rewards),
                 encoder=self.encoder,
                 encoders=known_encoders(self._folder),
-                nodes=[state.view(name) for name, state in self.nodes.items()],
+                nodes=nodes,
                 camera=self.has_picture,
                 align=self.align,
                 swap=self.swap,
             )
+
+    def _node_views(self) -> list[NodeView]:
+        views = [state.view(name) for name, state in self.nodes.items()]
+        if self.stage == "over":
+            done = NodeView(name=self._conductor, health="absent", status="done", detail="")
+            views = [
+                done if view.name == self._conductor and view.health == "gone" else view
+                for view in views
+            ]
+        return views
 
     def _evaluations(self) -> list[PointView]:
         """The learning curve on disk, read again every few seconds."""
