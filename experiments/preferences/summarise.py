@@ -192,6 +192,7 @@ def picture(found: Found, path: Path) -> None:
         axis.set_xticks(budgets, [str(b) for b in budgets])
         axis.minorticks_off()
         axis.set_xlabel("answers")
+        axis.set_ylim(0, 1)
         axis.set_title(MEASURES[measure].replace(" (chance: .17)", ""), fontsize=9)
     wrongs = found.values("wrong", "noise")
     for place, kind in enumerate(("plain", "smoothing", "estimated")):
@@ -205,10 +206,11 @@ def picture(found: Found, path: Path) -> None:
     axes[2].set_xticks(range(len(wrongs)), wrongs)
     axes[2].set_xlabel("wrong answers of 150")
     axes[2].set_title("held-out triplets, plain against robust", fontsize=9)
-    for axis in axes:
+    axes[2].set_ylim(0, 0.9)  # the legend stands above the bars
+    for axis, place in zip(axes, ("upper left", "lower right", "upper right"), strict=True):
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
-        axis.legend(frameon=False, fontsize=7, loc="lower right")
+        axis.legend(frameon=False, fontsize=7, loc=place)
     figure.tight_layout()
     figure.savefig(path, dpi=100)
 

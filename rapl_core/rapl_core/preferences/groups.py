@@ -5,6 +5,7 @@ annotators as the units. How many there are is decided on answers held out: a fu
 predict them better beyond doubt."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -89,9 +90,7 @@ def _held_out(
     pairs: Comparisons, people: Sequence[str], count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(m,) log-likelihood and (m,) rightness of each comparison when it is held out."""
-    numbers = np.unique(pairs.rankings)
-    fold_of = dict(zip(numbers.tolist(), np.arange(len(numbers)) % FOLDS, strict=True))
-    folds = np.array([fold_of[int(n)] for n in pairs.rankings])
+    folds = _folds(pairs)
     number = {name: i for i, name in enumerate(people)}
     value, right = np.zeros(len(pairs)), np.zeros(len(pairs))
     for fold in range(FOLDS):
@@ -107,6 +106,20 @@ def _held_out(
         value[held] = -y * np.logaddexp(0, -mine) - (1 - y) * np.logaddexp(0, mine)
         right[held] = np.where(y == 1, mine > 0, 0.5)
     return value, right
+
+
+def _folds(pairs: Comparisons) -> NDArray[np.int64]:
+    """(m,) fold of each comparison: everybody's rankings in turn, so that none holds out a person.
+
+    Whoever is held out whole belongs to no group that their answers could speak for.
+    """
+    fold_of: dict[int, int] = {}
+    given: Counter[str] = Counter()
+    for ranking, name in zip(pairs.rankings.tolist(), pairs.annotators, strict=True):
+        if ranking not in fold_of:
+            fold_of[ranking] = given[name] % FOLDS
+            given[name] += 1
+    return np.array([fold_of[ranking] for ranking in pairs.rankings.tolist()])
 
 
 def _fit(

@@ -100,6 +100,17 @@ def test_opposite_wishes_are_found_and_one_wish_is_not_split() -> None:
         find_groups(x, alike, rng, count=5)
 
 
+def test_people_who_answer_in_turn_are_told_apart() -> None:
+    rng = np.random.default_rng(6)
+    features, returns = made_videos(60, rng)
+    opposite = {name: -value for name, value in returns.items()}
+    wishes = {"ann": returns, "ben": returns, "cyd": opposite, "dot": opposite}
+    by_person = [asked(wish, 15, rng, name) for name, wish in wishes.items()]
+    rankings = [ranking for four in zip(*by_person, strict=True) for ranking in four]
+    groups = find_groups(summarise(features), rankings, rng)
+    assert set(groups.members) == {("ann", "ben"), ("cyd", "dot")}
+
+
 def test_one_person_needs_no_features_unless_something_is_to_be_estimated() -> None:
     rng = np.random.default_rng(5)
     _, returns = made_videos(10, rng)
