@@ -110,7 +110,10 @@ def success_figure(
 def draw_success(
     axes: Axes, curves: Sequence[NamedCurve], marks: Sequence[tuple[int, str]] = ()
 ) -> None:
-    """Draw success over world steps on given axes; see :func:`success_figure`."""
+    """Draw success over world steps on the axes of a figure with constrained layout.
+
+    See :func:`success_figure`.
+    """
     for steps, what in marks:
         axes.axvline(steps, color=GREEN, lw=1.0, ls=":", zorder=0)
         axes.annotate(
@@ -133,7 +136,8 @@ def draw_success(
     axes.set(xlabel="world steps", ylabel="success (%)", ylim=(0, 100))
     axes.set_xlim(left=0)
     _grid(axes)
-    axes.legend(frameon=False, loc="upper left")
+    # below the axes: a curve may lie anywhere within
+    axes.figure.legend(loc="outside lower center", ncols=min(3, len(curves)) or 1, frameon=False)
 
 
 def bars_figure(
