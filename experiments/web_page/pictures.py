@@ -21,7 +21,7 @@ SCREENS = {"wide": (1280, 800, 1, False), "phone": (390, 844, 2, True)}
 PAGES = {"rank": ("", "body[data-query]"), "live": ("live", "#nodes li:nth-child(9)")}
 LOOK_MS = 3500
 """For the videos to get going, or for the charts to be drawn."""
-COLOURS = 255
+COLOURS = 160
 PHONE_WIDTH = 585
 
 
