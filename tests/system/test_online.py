@@ -17,8 +17,9 @@ from rapl_core.representations import make_encoder
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 
-STEPS = 1800
-"""After the swap rounds must follow in which the buffer is rewarded again."""
+STEPS = 3000
+"""After the swap, which a killed node delays, rounds must follow in which the buffer is rewarded
+again."""
 DEADLINE_S = 900.0
 ONE_ROUND = [
     *("--triplets", "18"),
@@ -59,7 +60,7 @@ def one_round(tmp_path: Path) -> Iterator[tuple[GraphRun, Path]]:
 def check_round(folder: Path) -> OnlineAlignment:
     """The round took place, once, and the buffer is rewarded by its version; what it was."""
     [entry] = read_online(folder)
-    assert entry.asked_steps >= STEPS // 2 and STEPS // 2 <= entry.steps <= STEPS + 240
+    assert STEPS // 2 <= entry.asked_steps <= entry.steps <= STEPS
     assert entry.rankings == entry.wanted == 18
     with RankingStore(folder / "rankings.sqlite") as rankings:
         late = rankings.all()[12:]
