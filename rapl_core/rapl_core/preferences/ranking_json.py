@@ -8,6 +8,8 @@ from typing import Any
 from rapl_core.errors import RankingError, UnknownNameError
 from rapl_core.types import Ranking
 
+LATEST_NS = (2**31 - 1) * 10**9
+"""What the time in a message holds; a row beyond it could be stored and never be told."""
 _FIELDS = frozenset(field.name for field in fields(Ranking))
 
 
@@ -54,14 +56,14 @@ def ranking_from_values(values: Any) -> Ranking:
             ranking_id=_text(values, "ranking_id"),
             annotator=_text(values, "annotator"),
             episode_ids=_texts(values, "episode_ids"),
-            ranks=tuple(int(rank) for rank in values["ranks"]),
+            ranks=tuple(_whole(rank, "a rank") for rank in values["ranks"]),
             verdict=values.get("verdict", "ranked"),
-            query_id=str(values.get("query_id", "")),
+            query_id=_text(values, "query_id", ""),
             response_s=math.nan if response_s is None else float(response_s),
-            created_ns=int(values.get("created_ns", 0)),
-            replaces=str(values.get("replaces", "")),
-            shown_ns=int(values.get("shown_ns", 0)),
-            source=str(values.get("source", "")),
+            created_ns=_whole(values.get("created_ns"), "created_ns", LATEST_NS),
+            replaces=_text(values, "replaces", ""),
+            shown_ns=_whole(values.get("shown_ns"), "shown_ns", LATEST_NS),
+            source=_text(values, "source", ""),
         )
     except UnknownNameError as error:
         raise RankingError(str(error)) from error
@@ -71,8 +73,20 @@ def ranking_from_values(values: Any) -> Ranking:
         raise RankingError(f"a ranking has a field of the wrong kind: {error}") from error
 
 
-def _text(values: dict[str, object], name: str) -> str:
-    value = values[name]
+def _whole(value: object, name: str, most: int = 1_000_000) -> int:
+    """A number from 0 to ``most``; null, which tables have for what is unknown, is 0."""
+    if value is None:
+        return 0
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= most:
+        raise RankingError(f"{name} is {value!r}, expected a whole number from 0 to {most}")
+    return value
+
+
+def _text(values: dict[str, object], name: str, default: str | None = None) -> str:
+    """A text; null or nothing is ``default``, where there is one."""
+    value = values[name] if default is None else values.get(name)
+    if value is None and default is not None:
+        return default
     if not isinstance(value, str):
         raise RankingError(f"{name} is {value!r}, expected text")
     return value

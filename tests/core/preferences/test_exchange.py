@@ -38,6 +38,19 @@ def test_a_name_with_a_line_separator_in_it_is_read_back(tmp_path: Path) -> None
     assert read_jsonl(tmp_path / "r.jsonl") == [given]
 
 
+ABC = '{"ranking_id": "r", "annotator": "a", "episode_ids": ["a", "b", "c"], '
+
+
+def test_what_another_program_does_not_know_is_null(tmp_path: Path) -> None:
+    path = tmp_path / "rankings.jsonl"
+    unknown = ("query_id", "replaces", "source", "created_ns", "shown_ns", "response_s")
+    nulls = ", ".join(f'"{name}": null' for name in unknown)
+    path.write_text(ABC + '"ranks": [1, 2, 3], ' + nulls + "}")
+    (found,) = read_jsonl(path)
+    assert (found.query_id, found.replaces, found.source) == ("", "", "")
+    assert (found.created_ns, found.shown_ns) == (0, 0)
+
+
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
@@ -53,6 +66,12 @@ def test_a_name_with_a_line_separator_in_it_is_read_back(tmp_path: Path) -> None
             '{"ranking_id": "r", "annotator": "a", "episode_ids": 3, "ranks": [1, 2]}',
             "of the wrong kind",
         ),
+        (ABC + '"ranks": [1.9, 2.2, 3]}', r"a rank is 1\.9, expected a whole number"),
+        (ABC + '"ranks": [true, 2, 3]}', "a rank is True"),
+        (ABC + '"ranks": [1, 2, 3], "created_ns": 1e30}', r"created_ns is 1e\+30"),
+        (ABC + '"ranks": [1, 2, 3], "created_ns": 9223372036854775808}', "created_ns is 9223"),
+        (ABC + '"ranks": [1, 2, 3], "shown_ns": -1}', "shown_ns is -1"),
+        (ABC + '"ranks": [1, 2, 3], "query_id": 5}', "query_id is 5, expected text"),
     ],
 )
 def test_a_bad_line_is_named_with_its_number(tmp_path: Path, line: str, complaint: str) -> None:
