@@ -91,7 +91,7 @@ class SessionRounds:
             player = EvaluationPlayer(
                 session.task, trainer, f"sac-{policy_id or session.policy_id}"
             )
-            self._node.heartbeat.report("active", f"evaluation, {len(waiting)} rounds left")
+            self._node.heartbeat.report("active", f"evaluation, rounds left: {len(waiting)}")
             try:
                 await self._rounds.play(player, "evaluate", waiting[0], seed)
             except (RoundLostError, CallError) as error:
