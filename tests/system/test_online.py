@@ -29,14 +29,16 @@ ONE_ROUND = [
 ]
 
 
-def check_buffer(folder: Path) -> int:
-    """Every reward in the newest checkpoint is rapl_core's, by the version at work; how many."""
+def check_buffer(folder: Path) -> tuple[int, str]:
+    """Every reward in the newest checkpoint is rapl_core's, by the version that it names.
+
+    Returns how many episodes there are, and that version.
+    """
     newest = CheckpointFolder(folder / "policies").latest()
     assert newest is not None
     parts = read_checkpoint(newest)
-    encoder = make_encoder("rapl", folder)
-    source = parts["run"].values["reward"]
-    assert source["version"] == encoder.info.version == read_online(folder)[-1].version
+    version = parts["labels"].values["replay"]["version"]
+    encoder = make_encoder(f"rapl-{version}", folder)
     store = EpisodeStore(folder / "episodes")
     experts = [encoder.embed_expert(e, store.frames(e)) for e in encoder.expert_ids]
     rewards = parts["trainer"].arrays["replay.rewards"][:, 0]
@@ -45,7 +47,7 @@ def check_buffer(folder: Path) -> int:
         z = encoder.embed(store.frames(name)[1:])
         expected = encoder.reward(z, experts).values
         np.testing.assert_allclose(rewards[start : start + steps], expected, rtol=1e-3, atol=1e-3)
-    return len(spans)
+    return len(spans), version
 
 
 @pytest.fixture
@@ -58,7 +60,7 @@ def one_round(tmp_path: Path) -> Iterator[tuple[GraphRun, Path]]:
 
 
 def check_round(folder: Path) -> OnlineAlignment:
-    """The round took place, once, and the buffer is rewarded by its version; what it was."""
+    """The round took place, once, and was about the robot's videos; what it was."""
     [entry] = read_online(folder)
     assert STEPS // 2 <= entry.asked_steps <= entry.steps <= STEPS
     assert entry.rankings == entry.wanted == 18
@@ -66,7 +68,6 @@ def check_round(folder: Path) -> OnlineAlignment:
         late = rankings.all()[12:]
     own = [sum(name.startswith("train-") for name in r.episode_ids) for r in late]
     assert own == [2] * 6, "each beside one expert video"
-    assert check_buffer(folder) >= 15
     return entry
 
 
@@ -76,6 +77,8 @@ def test_the_robots_own_videos_are_ranked_and_its_buffer_is_rewarded_by_the_new_
     run, folder = one_round
     assert run.process.wait(timeout=DEADLINE_S) == 0, run.text()[-3000:]
     entry = check_round(folder)
+    episodes, version = check_buffer(folder)
+    assert episodes >= 15 and version == entry.version == make_encoder("rapl", folder).info.version
     log = (folder / "logs" / "learner.log").read_text()
     assert f"episodes rewarded again by RewardSource(name='rapl', version='{entry.version}'" in log
     assert "could not be rewarded again" not in log
@@ -91,7 +94,6 @@ def test_a_node_killed_within_a_round_is_restarted_and_the_round_is_finished_onc
     one_round: tuple[GraphRun, Path], node: str
 ) -> None:
     run, folder = one_round
-
     run.until(lambda: bool(read_online(folder)), DEADLINE_S, "the round begins")
     pid = run.kill_node(node)
     assert not read_online(folder)[-1].is_done, "the round was over before the node was killed"
@@ -99,3 +101,5 @@ def test_a_node_killed_within_a_round_is_restarted_and_the_round_is_finished_onc
     assert not psutil.pid_exists(pid)
     assert f"{node} was killed by SIGKILL; restarting it" in run.text()
     check_round(folder)
+    episodes, _ = check_buffer(folder)  # of the version before, where the swap came at the very end
+    assert episodes >= 15
