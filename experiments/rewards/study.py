@@ -3,7 +3,7 @@
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,8 +22,10 @@ from rapl_core.representations import (
     Preset,
     align,
     find_parts,
+    get_preset,
     learn_reward,
     make_extractor,
+    preset_names,
     raw_encoder_from,
 )
 from rapl_core.representations.augmentation import Augmentation, augment_video
@@ -100,6 +102,8 @@ class Study:
     :param weights: folder with published weights.
     :param demonstrations: that TCC learns from; 0: the preferred ones of the pool.
     :param views: changed copies of each of them.
+    :param masked: how masked autoencoders learn.
+    :param presets: that rows may be asked for; empty: all.
     """
 
     def __init__(
@@ -109,7 +113,11 @@ class Study:
         weights: Path | None = None,
         demonstrations: int = 500,
         views: int = 1,
+        masked: MaskedConfig | None = None,
+        presets: Sequence[Preset] = (),
     ) -> None:
+        self.presets = presets or [get_preset(name) for name in preset_names()]
+        self.masked = masked or MaskedConfig()
         self.seed, self.work, self.weights = seed, work, weights
         self.demonstrations, self.views = demonstrations, views
         self.spent = Spent()
@@ -123,6 +131,8 @@ class Study:
         self._extractors: dict[Hashable, FeatureExtractor] = {}
         self._stores: dict[Hashable, FeatureStore] = {}
         self._seen: dict[str, tuple[list[NDArray[Any]], NDArray[Any]]] = {}
+        self._shown: dict[Hashable, FeatureStore] = {}
+        self._shown_names: list[str] = []
         self._tcc: dict[Hashable, Demonstrated] = {}
         self._made: dict[Hashable, Made] = {}
         self._judged: dict[Hashable, dict[str, Any]] = {}
@@ -167,6 +177,8 @@ class Study:
                 encoder = supervised_probe(features, truth, self.experts, preset, rng)
             else:
                 encoder = raw_encoder_from(features, self.experts, rng, method.name, preset)
+                if method.lesson == "frames":
+                    told = {"iterations": self.masked.iterations}
         return Made(encoder, embedded_experts(encoder, features), told)
 
     def _make_tcc(self, method: Method, preset: Preset, rng: np.random.Generator) -> Made:
@@ -184,30 +196,40 @@ class Study:
         """The one representation of both ways to reward by TCC."""
         key = (seen_as(preset), preset.dimension)
         if key not in self._tcc:
-            features = self._store(self._extractor(get_method("tcc"), preset), preset)
-            names = self._add_demonstrations(features)
+            if not self._shown:
+                self._read_demonstrations()
+            features = self._shown[preset.recipe, preset.mirror]
             config, rng = TccConfig(views=self.views), np.random.default_rng(self.seed)
             with self.spent.on("TCC"):
                 learnt = fit_tcc(features, preset.dimension, preset, config, rng)
             with self.spent.on("features"):
                 for name in self.experts:  # only now: nothing is learnt from them
                     features.add_episode(self._by_id[name])
-            self._tcc[key] = Demonstrated(features, names, *learnt)
+            self._tcc[key] = Demonstrated(features, self._shown_names, *learnt)
         return self._tcc[key]
 
-    def _add_demonstrations(self, features: FeatureStore) -> list[str]:
-        """Features of the demonstrations and their changed copies; names of the former."""
-        shown = self._shown()
-        rng = np.random.default_rng([self.seed, 402])  # the same copies whatever the preset
+    def _read_demonstrations(self) -> None:
+        """Features of demonstrations and changed copies for all presets in one pass.
+
+        The copies cost more than their features do.
+        """
+        shown = self._demonstrations()
+        self._shown_names = [video.episode_id for video in shown]
+        for preset in self.presets:
+            extractor = self._extractor(get_method("tcc"), preset)
+            store = self._store(extractor, preset)
+            self._shown.setdefault((preset.recipe, preset.mirror), store)
+        rng = np.random.default_rng([self.seed, 402])
         for video in shown:
+            with self.spent.on("changed copies"):
+                copies = [
+                    augment_video(video.frames[1:], Augmentation(), rng) for _ in range(self.views)
+                ]
             with self.spent.on("features"):
-                features.add_episode(video)
-            for view in range(self.views):
-                with self.spent.on("changed copies"):
-                    changed = augment_video(video.frames[1:], Augmentation(), rng)
-                with self.spent.on("features"):
-                    features.add(f"{video.episode_id}{VIEW_MARK}{view}", changed)
-        return [video.episode_id for video in shown]
+                for store in self._shown.values():
+                    store.add_episode(video)
+                    for view, copy in enumerate(copies):
+                        store.add(f"{video.episode_id}{VIEW_MARK}{view}", copy)
 
     def _judge(self, made: Made) -> dict[str, Any]:
         encoder = made.encoder
@@ -253,7 +275,7 @@ class Study:
             self._stores[key] = store
         return self._stores[key]
 
-    def _shown(self) -> list[Episode]:
+    def _demonstrations(self) -> list[Episode]:
         preferred = preferred_behaviours(get_task(TASK))
         if not self.demonstrations:
             return [v for v in self.pool if v.behaviour in preferred]
@@ -277,7 +299,8 @@ class Study:
         return bool(self.weights and weights_in(self.weights, method.backbone))
 
     def _kept(self, method: Method, backbone: str) -> Path:
-        return self.work / "backbones" / f"{method.name}-{self.seed}-{backbone}.safetensors"
+        name = f"{method.name}-{self.seed}-{self.masked.iterations}-{backbone}"
+        return self.work / "backbones" / f"{name}.safetensors"
 
     def _train_backbone(self, method: Method) -> None:
         """Masked autoencoding on the pool, once a seed: from scratch, or by LoRA on what is there.
@@ -288,7 +311,7 @@ class Study:
         if file is not None and file.is_file():
             return
         assert file is not None
-        rng, config = np.random.default_rng([self.seed, 403]), MaskedConfig()
+        rng, config = np.random.default_rng([self.seed, 403]), self.masked
         frames = np.concatenate(
             [v.frames[rng.choice(len(v.frames), MASKED_FRAMES, replace=False)] for v in self.pool]
         )

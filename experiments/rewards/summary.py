@@ -12,12 +12,15 @@ from scipy.stats import t
 from rapl_core.representations.backbones import backbone_spec
 from rapl_core.representations.masked_architecture import MAE_BACKBONE
 from rapl_core.representations.methods import get_method, method_names
+from rapl_core.representations.public_checkpoints import PUBLIC
 
 ORACLE = "ground_truth"
 PAIR = (("tuned", "rapl"), ("tuned", "rlhf"))
 LEAST_GAIN = 0.1
 """Below this gain of successful videos, in standard deviations of the reward, a share of it means
 nothing."""
+
+_MASKED = ("mae_scratch", "mvp_finetuned")
 
 Result = dict[str, Any]
 Results = dict[tuple[str, str], dict[int, Result]]
@@ -171,9 +174,13 @@ def _about_rows(results: Results) -> str:
     contents = [c for by_seed in results.values() for c in by_seed.values()]
     have = {c["reward"] for c in contents}
     lines = []
-    out = [get_method(n).title for n in method_names() if n not in have]
+    missing = [get_method(n) for n in method_names() if n not in have]
+    published = {spec.name for spec in PUBLIC}
+    out = [m.title for m in missing if m.backbone in published and m.lesson == "nothing"]
     if out:
-        lines.append(f"- Left out, for their weights were not given: {', '.join(out)}.")
+        lines.append(f"- Left out, for their published weights were not given: {', '.join(out)}.")
+    if others := [m.title for m in missing if m.title not in out]:
+        lines.append(f"- Not run: {', '.join(others)}.")
     backbones: dict[str, set[str]] = {}
     for c in contents:
         if c["reward"] not in (ORACLE, "clock"):
@@ -190,6 +197,9 @@ def _about_rows(results: Results) -> str:
             f"- TCC learnt from {demonstrations} preferred demonstrations and {views} changed "
             "copies of each."
         )
+    masked = {c["made"]["iterations"] for c in contents if c["reward"] in _MASKED}
+    for iterations in sorted(masked):
+        lines.append(f"- Masked autoencoders learnt for {iterations:,} iterations of 32 pictures.")
     commits = sorted({c["commit"][:12] for c in contents})
     machines = sorted({", ".join(map(str, c["machine"].values())) for c in contents})
     lines.append(f"- Commits {', '.join(commits)}; {'; '.join(machines)}.")

@@ -25,6 +25,7 @@ from rapl_core.analysis.provenance import commit, machine, versions
 from rapl_core.analysis.stages import plain
 from rapl_core.errors import WeightsError
 from rapl_core.representations import get_preset, make_extractor, preset_names
+from rapl_core.representations.masked import MaskedConfig
 from rapl_core.representations.methods import DEFAULT_BACKBONE, get_method, method_names
 
 HERE = Path(__file__).parent
@@ -39,6 +40,7 @@ def main() -> None:
     parser.add_argument("--rewards", nargs="+", default=rows, choices=rows)
     parser.add_argument("--demonstrations", type=int, default=500, help="of TCC; 0: the pool's own")
     parser.add_argument("--views", type=int, default=1, help="changed copies of each for TCC")
+    parser.add_argument("--masked-iterations", type=int, default=MaskedConfig.iterations)
     parser.add_argument("--weights", type=Path, help="folder with published weights")
     parser.add_argument("--work", type=Path, default=Path("runs/study"), help="videos, features")
     parser.add_argument("--results", type=Path, default=HERE / "results")
@@ -65,7 +67,11 @@ def run_seed(seed: int, options: argparse.Namespace) -> None:
     if not missing:
         return
     make_extractor(DEFAULT_BACKBONE, get_preset("paper").recipe)  # before a GL context
-    study = Study(seed, options.work, options.weights, options.demonstrations, options.views)
+    study = Study(
+        seed, options.work, options.weights, options.demonstrations, options.views,
+        MaskedConfig(iterations=options.masked_iterations),
+        [get_preset(name) for name in options.presets],
+    )  # fmt: skip
     left_out: set[str] = set()
     for name, preset_name in missing:
         path = paths[name, preset_name]
