@@ -29,7 +29,7 @@ from rapl_core.representations.weights import weights_in
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-LIMIT_S = 1800.0
+LIMIT_S = 3600.0
 MADE_UP = "made up, of the published layout"
 FROM_SCRATCH = "pre-trained from scratch on the run's own videos"
 ORACLE = "ground_truth"
