@@ -178,9 +178,9 @@ def _about_rows(results: Results) -> str:
     published = {spec.name for spec in PUBLIC}
     out = [m.title for m in missing if m.backbone in published and m.lesson == "nothing"]
     if out:
-        lines.append(f"- Left out, for their published weights were not given: {', '.join(out)}.")
+        lines.append(f"- Left out, for their published weights were not given: {'; '.join(out)}.")
     if others := [m.title for m in missing if m.title not in out]:
-        lines.append(f"- Not run: {', '.join(others)}.")
+        lines.append(f"- Not run: {'; '.join(others)}.")
     backbones: dict[str, set[str]] = {}
     for c in contents:
         if c["reward"] not in (ORACLE, "clock"):

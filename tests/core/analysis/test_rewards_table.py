@@ -20,14 +20,18 @@ FOLDER = Path(__file__).parents[3] / "experiments" / "rewards"
 
 @pytest.fixture(scope="module")
 def scripts() -> Iterator[dict[str, ModuleType]]:
-    """The study's modules, which import each other by their bare names."""
+    """The study's modules, which import each other by their bare names, as tests' helpers do."""
     names = ("judging", "study", "summary", "landscapes")
-    before = list(sys.path)
-    sys.path.append(str(FOLDER))
+    before, modules = list(sys.path), dict(sys.modules)
+    sys.path[:0] = [str(FOLDER), str(FOLDER.parent / "franka_group")]
+    for name in (*names, "videos"):
+        sys.modules.pop(name, None)
     yield {name: importlib.import_module(name) for name in names}
     sys.path[:] = before
-    for name in names:
+    for name in (*names, "videos"):
         sys.modules.pop(name, None)
+        if name in modules:
+            sys.modules[name] = modules[name]
 
 
 def result(preset: str, reward: str, seed: int, **measures: Any) -> dict[str, Any]:
@@ -75,8 +79,8 @@ def test_the_summary_names_what_is_left_out_and_what_stands_for_it(
     text = scripts["summary"].summary(results)
     assert "| - | ground truth, r* | 1 |" in text
     assert "masked autoencoder from scratch, LoRA, OT (in place of fine-tuned MVP)" in text
-    assert "published weights were not given: DINOv2-OT, LIV-OT, MVP-OT, R3M-OT, VIP-OT." in text
-    assert "- Not run: " in text and "masked autoencoder from scratch, OT." in text
+    assert "published weights were not given: DINOv2-OT; LIV-OT; MVP-OT; R3M-OT; VIP-OT." in text
+    assert "- Not run: " in text and "; masked autoencoder from scratch, OT; " in text
     assert "80 % push, 20 % mime" in text and "1,000 a seed" in text
     assert "500 preferred demonstrations and 1 changed" in text
     (rapl,) = [line for line in text.splitlines() if line.startswith("| paper | RAPL | 1 | 0.50")]
