@@ -145,6 +145,12 @@ class Graph:
         response = self.probe.call(SetParameters, "encoder/set_parameters", request, START_S)
         return response.results[0].successful, response.results[0].reason
 
+    def warm_up(self) -> None:
+        """Wait until the two nodes have found each other: an episode is rewarded."""
+        assert self.set_encoder(WALK[0]) == (True, "")
+        tries = (self.play(f"train-first-{n}", pictures(98)) for n in range(20))
+        assert any(reward.valid for reward in tries)
+
     def play(self, episode_id: str, frames: np.ndarray) -> wire_msg.Reward:
         """Show an episode and return its reward."""
         for step, frame in enumerate(frames):
@@ -192,7 +198,9 @@ def graph(run_folder: Path, rclpy_context: None) -> Iterator[Graph]:
         NodeProcess("rapl_ros.ot_reward_node", run_folder / "ot_reward.log"),
     ]
     probe = Probe("swapper")
-    yield Graph(probe)
+    graph = Graph(probe)
+    graph.warm_up()
+    yield graph
     probe.close()
     for node in nodes:
         node.stop()
