@@ -295,5 +295,5 @@ def test_a_signal_ends_it_cleanly_within_5_s(start: Start, tmp_path: Path, probe
     training = train(probe, 5_000)
     probe.until(lambda: training.steps >= 120, 60, "some steps")
     began_s = time.monotonic()
-    assert graph.learner.signal(signal.SIGINT) == 0
+    assert graph.learner.signal(signal.SIGINT) == 0, graph.learner.text()
     assert time.monotonic() - began_s < 5.0
