@@ -84,7 +84,7 @@ def table(runs: dict[str, list[Run]]) -> str:
 
 def picture(runs: dict[str, list[Run]], path: Path) -> None:
     """Draw success by step: the mean of the seeds, each seed thin behind it."""
-    figure, axis = plt.subplots(figsize=(6.4, 3.6))
+    figure, axis = plt.subplots(figsize=(8.4, 3.6))
     for color, (name, group) in zip(plt.cm.tab10.colors, runs.items(), strict=False):
         curves = []
         for run in group:
@@ -97,7 +97,7 @@ def picture(runs: dict[str, list[Run]], path: Path) -> None:
     axis.set_xlabel("thousand world steps")
     axis.set_ylabel("success, 50 episodes")
     axis.set_ylim(-0.02, 1.02)
-    axis.legend(frameon=False, fontsize=8, loc="lower right")
+    axis.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     figure.tight_layout()
