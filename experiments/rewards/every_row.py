@@ -87,7 +87,7 @@ def run(row: Row, out: Path, program: list[str]) -> dict[str, Any]:
     """Run a row and say what became of it."""
     folder = out / row.name.replace(" ", "-")
     command = [*program, "franka_group", *row.options, "--quick", "--out", str(folder)]
-    began = time.monotonic()
+    began, begun_at = time.monotonic(), commit()  # what runs, whatever is committed meanwhile
     log = out / f"{folder.name}.log"
     with log.open("w") as file:
         process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, cwd=ROOT)
@@ -110,7 +110,7 @@ def run(row: Row, out: Path, program: list[str]) -> dict[str, Any]:
         "stages": {s.name: [s.status, round(s.seconds, 1)] for s in read_stages(folder)},
         "encoder": found.get("encoder"),
         "episodes_evaluated": found.get("success", {}).get("final_episodes"),
-        "commit": commit(),
+        "commit": begun_at,
     }
 
 

@@ -34,7 +34,6 @@ def judge(
     :param seed: of the triplets.
     """
     felt = [human(v) for v in videos]
-    step = measures.spearman_per_step(rewards, felt)
     partial = measures.partial_spearman_given_time(rewards, felt)
     disliked = [i for i, v in enumerate(videos) if v.behaviour == "one_at_a_time"]
     returns = {v.episode_id: float(r.sum()) for v, r in zip(videos, rewards, strict=True)}
@@ -46,21 +45,18 @@ def judge(
 
     successes, mimes = of(lambda v: bool(v.success)), of(lambda v: v.behaviour == "mime")
     return {
-        "step": step.mean,
-        "step_undefined": step.undefined,
+        **asdict(measures.agreement(rewards, felt)),
         "step_given_time": partial.mean,
         "step_given_time_undefined": partial.undefined,
         "step_one_at_a_time": measures.spearman_per_step(
             [rewards[i] for i in disliked], [felt[i] for i in disliked]
         ).mean,
-        "concordance": measures.concordance(rewards, felt).value,
-        "episode": measures.episode_rank_correlation(rewards, felt),
         "arm_only": measures.arm_only_share(successes, mimes),
         "success_gain": measures.mean_gain(successes) / float(np.std(np.concatenate(rewards))),
         "triplets": len(triplets),
         "triplet_accuracy": accuracy,
         "triplet_interval": wilson_interval(accuracy, len(triplets)),
-        "videos": measures.video_mix([v.behaviour for v in videos]),
+        "video_mix": measures.video_mix([v.behaviour for v in videos]),
         "landscape": _landscape(landscape),
     }
 

@@ -149,7 +149,7 @@ def paired(results: Results) -> str:
 def _about_videos(results: Results) -> str:
     """Video mix, undefined videos and triplets."""
     contents = [c for by_seed in results.values() for c in by_seed.values()]
-    mixes = {c["seed"]: c["measures"]["videos"] for c in contents}
+    mixes = {c["seed"]: c["measures"]["video_mix"] for c in contents}
     total: Counter[str] = sum((Counter(mix) for mix in mixes.values()), Counter())
     count = total.total()
     mix = ", ".join(f"{100 * n / count:.0f} % {name}" for name, n in total.most_common())

@@ -47,10 +47,11 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="only the table of what there is")
     options = parser.parse_args()
     torch.set_num_threads(1)
+    begun_at = commit()  # what runs, whatever is committed meanwhile
     for folder in (options.work, options.results):
         folder.mkdir(parents=True, exist_ok=True)
     for seed in [] if options.table else options.seeds:
-        run_seed(seed, options)
+        run_seed(seed, options, begun_at)
     results = load(options.results)
     text = summary(results)
     (options.results / "table.md").write_text(text)
@@ -58,7 +59,7 @@ def main() -> None:
     print(text)
 
 
-def run_seed(seed: int, options: argparse.Namespace) -> None:
+def run_seed(seed: int, options: argparse.Namespace, begun_at: str) -> None:
     """Every row of a seed that is missing."""
     wanted = [(name, preset) for preset in options.presets for name in options.rewards]
     paths = {row: options.results / f"{row[0]}-{row[1]}-{seed}.json" for row in wanted}
@@ -79,7 +80,7 @@ def run_seed(seed: int, options: argparse.Namespace) -> None:
             continue
         before = dict(study.spent.cpu)
         try:
-            content = row(study, name, preset_name)
+            content = row(study, name, preset_name) | {"commit": begun_at}
         except WeightsError as error:
             left_out.add(name)
             print(f"{name}: left out: {error}", flush=True)
@@ -111,7 +112,7 @@ def row(study: Study, name: str, preset_name: str) -> dict[str, Any]:
             "backbone": made.encoder.card.backbone,
             "preset_settings": asdict(study.preset_for(method, preset)),
         }
-    return {**content, "commit": commit(), "machine": machine(), "versions": versions()}
+    return {**content, "machine": machine(), "versions": versions()}
 
 
 if __name__ == "__main__":

@@ -13,8 +13,10 @@ from typing import Any
 
 import rclpy
 from own_domain import enter_own_domain
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
@@ -146,6 +148,16 @@ class Probe:
             return self.until(answered, deadline_s, f"{service} answers").result()
         finally:
             self.node.destroy_client(client)
+
+    def set_parameter(
+        self, node: str, name: str, value: Any, deadline_s: float = DISCOVERY_S
+    ) -> tuple[bool, str]:
+        """Set a parameter as ``ros2 param set`` does; returns whether it was taken, and why not."""
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        response = self.call(SetParameters, f"{node}/set_parameters", request, deadline_s)
+        return response.results[0].successful, response.results[0].reason
 
     def status_of(self, node: str) -> dict[str, str]:
         """Newest diagnostics of a node as key and value; needs ``listen`` on /diagnostics."""

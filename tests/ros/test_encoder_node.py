@@ -10,10 +10,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from PIL import Image as PillowImage
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.srv import EmbedEpisodes
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
 from sensor_msgs.msg import CompressedImage, Image
+from small_episodes import small_episode
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.preferences import RankingStore
@@ -28,7 +27,7 @@ from rapl_core.representations import (
 )
 from rapl_core.representations.pretrained import RAW_RECIPE
 from rapl_core.representations.registry import DEFAULT_BACKBONE
-from rapl_core.types import Episode, Ranking
+from rapl_core.types import Ranking
 from rapl_ros import conversions, qos, topics
 from rapl_ros.encoder_node import AT_WORK_FILE
 from rapl_ros.wire import JoinKey
@@ -51,19 +50,7 @@ def make_run(folder: Path) -> None:
     """A run with four videos and one ranking of three of them."""
     store = EpisodeStore(folder / "episodes")
     for number in range(4):
-        store.add(
-            Episode(
-                episode_id=f"video-{number}",
-                task="franka_group",
-                world=0,
-                purpose="demonstrate",
-                controller="demonstrator",
-                frames=pictures(number, 5),
-                states=np.zeros((5, 2)),
-                actions=np.zeros((4, 2)),
-                stamps_ns=np.arange(1, 6, dtype=np.int64),
-            )
-        )
+        store.add(small_episode(f"video-{number}", pictures(number, 5)))
     with RankingStore(folder / "rankings.sqlite") as rankings:
         shown = ("video-0", "video-1", "video-2")
         rankings.add(Ranking("r0", "test", shown, (1, 2, 3)))
@@ -125,10 +112,7 @@ class Camera:
         return self.probe.until(found, deadline_s, f"an embedding of {key}")
 
     def set_encoder(self, name: str) -> tuple[bool, str]:
-        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=name)
-        request = SetParameters.Request(parameters=[Parameter(name="encoder", value=value)])
-        response = self.probe.call(SetParameters, "encoder/set_parameters", request, START_S)
-        return response.results[0].successful, response.results[0].reason
+        return self.probe.set_parameter(topics.ENCODER, "encoder", name, START_S)
 
 
 @pytest.fixture(scope="module")

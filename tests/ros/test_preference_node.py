@@ -1,6 +1,5 @@
 """The nodes preference and simulated_human: queries, rankings that stay, an encoder from them."""
 
-import shutil
 import time
 import uuid
 from collections.abc import Iterator
@@ -11,54 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from ranked_videos import STEPS, VIDEOS, make_videos
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Align
 from rapl_msgs.srv import GetProgress, GetQuery, ListRankings, SubmitRanking, Undo
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from ros_harness import DISCOVERY_S, NodeProcess, Probe
-from std_msgs.msg import Header, String
+from std_msgs.msg import Header
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.preferences import RankingStore, triplets_from
 from rapl_core.representations import load_encoder
-from rapl_core.types import Episode, Ranking
 from rapl_ros import conversions, qos, topics
-from rapl_ros.preference_node import PreferenceNode
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
-VIDEOS, STEPS, SIZE = 12, 6, 32
 SIMULATED = 25
-
-
-def make_videos(folder: Path) -> dict[str, float]:
-    """Videos of a bright square; the better, the farther it gets. Returns by id."""
-    store = EpisodeStore(folder / "episodes")
-    returns = {}
-    for number in range(VIDEOS):
-        frames = np.full((STEPS + 1, SIZE, SIZE, 3), 40, np.uint8)
-        for step in range(STEPS + 1):
-            x = round(step / STEPS * number * 24 / VIDEOS)
-            frames[step, 12:20, x : x + 8] = (240, 200, 30)
-        rewards = -np.linspace(1.0, 1.0 - number / VIDEOS, STEPS + 1)
-        episode = Episode(
-            episode_id=f"video-{number:02d}",
-            task="franka_group",
-            world=0,
-            purpose="demonstrate",
-            controller="demonstrator",
-            frames=frames,
-            states=np.zeros((STEPS + 1, 2)),
-            actions=np.zeros((STEPS, 2)),
-            stamps_ns=np.arange(1, STEPS + 2, dtype=np.int64),
-            human_rewards=rewards,
-            success=False,
-        )
-        store.add(episode)
-        returns[episode.episode_id] = episode.human_return
-    return returns
 
 
 class Person:
@@ -189,10 +156,7 @@ def test_a_lease_is_good_for_one_answer_and_an_undo_opens_it_again(person: Perso
 
 
 def test_progress_says_how_many_are_needed_and_how_each_annotator_gets_on(person: Person) -> None:
-    value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=1000)
-    request = SetParameters.Request(parameters=[Parameter(name="rankings_wanted", value=value)])
-    service = f"{topics.PREFERENCE}/set_parameters"
-    assert person.probe.call(SetParameters, service, request).results[0].successful
+    assert person.probe.set_parameter(topics.PREFERENCE, "rankings_wanted", 1000)[0]
     videos = ["video-00", "video-01", "video-02"]
     for name, ranks in (("ada", [1, 2, 3]), ("ada", [1, 3, 2]), ("bob", [3, 2, 1])):
         assert person.submit(videos, ranks, annotator=name).success
@@ -210,80 +174,6 @@ def test_progress_says_how_many_are_needed_and_how_each_annotator_gets_on(person
     assert rows["ada"].consistency == pytest.approx(2 / 3) and rows["ada"].consistency_pairs == 3
     assert rows["bob"].agreement_pairs >= 6 and 0 <= rows["bob"].agreement < 0.5
     assert len(person.progress(annotator="bob").annotators) == 1
-
-
-def test_a_video_that_cannot_be_read_is_asked_about_no_more_and_told(
-    tmp_path: Path, rclpy_context: None
-) -> None:
-    make_videos(tmp_path)
-    episodes = tmp_path / "episodes"
-    (bag,) = (episodes / "video-03").glob("*.mcap")
-    bag.write_bytes(b"damaged")
-    shutil.rmtree(episodes / "video-04")
-    node = PreferenceNode(cli_args=["--ros-args", "-p", f"run_folder:={tmp_path}"])
-    try:
-        for video in ("video-03", "video-05", "elsewhere"):
-            node._on_unreadable(String(data=video))
-        shutil.rmtree(episodes / "video-06")
-        for _ in range(40):
-            request = GetQuery.Request(annotator="ada")
-            shown = node._on_get_query(request, GetQuery.Response())
-            assert shown.success, shown.message
-            assert not {"video-03", "video-04", "video-06"} & set(shown.query.episode_ids)
-        text = node.diagnostics.conditions["unreadable videos"]
-        assert "video-03" in text and "video-06" in text and "video-05" not in text
-    finally:
-        node.close()
-        node.destroy_node()
-
-
-def test_own_videos_that_cannot_be_read_or_are_old_are_not_given_back(
-    tmp_path: Path, rclpy_context: None
-) -> None:
-    make_videos(tmp_path)
-    store = EpisodeStore(tmp_path / "episodes")
-    base = store.load("video-05")
-
-    def record(number: int) -> tuple[str, int]:
-        stamps = np.arange(100, 100 + STEPS + 1) * (number + 1)
-        name = f"train-{number}"
-        store.add(replace(base, episode_id=name, purpose="train", stamps_ns=stamps))
-        return name, int(stamps[-1])
-
-    for number in range(6):
-        record(number)
-    node = PreferenceNode(cli_args=["--ros-args", "-p", f"run_folder:={tmp_path}"])
-
-    def shown(strategy: str, *held: str) -> Any:
-        request = GetQuery.Request(annotator="ada", strategy=strategy, resume=True, held=held)
-        response = node._on_get_query(request, GetQuery.Response())
-        assert response.success, response.message
-        return response.query
-
-    try:
-        videos = ("video-00", "video-01", "video-02")
-        node._store.add(Ranking("first", "ada", videos, (1, 2, 3)))
-        pool = shown("uniform").query_id
-        assert shown("uniform").query_id == pool, "as after a reload"
-        own = shown("own")
-        assert own.query_id != pool and shown("own").query_id == own.query_id
-        broken = next(name for name in own.episode_ids if name.startswith("train-"))
-        (bag,) = (tmp_path / "episodes" / broken).glob("*.mcap")
-        bag.write_bytes(b"damaged")
-        node._on_unreadable(String(data=broken))
-        for _ in range(10):
-            assert broken not in shown("own", own.query_id).episode_ids
-        after = shown("own")
-        assert after.query_id != own.query_id
-        node._own.aligned(node._own.newest_ns)
-        for number in (6, 7):
-            name, stamp_ns = record(number)
-            node._take_in(name, "train", stamp_ns)
-        assert {"train-6", "train-7"} < set(shown("own").episode_ids)
-        assert shown("uniform").query_id == pool, "nor is it lost"
-    finally:
-        node.close()
-        node.destroy_node()
 
 
 def test_an_unknown_strategy_names_the_known(person: Person) -> None:
@@ -307,10 +197,7 @@ def test_the_simulated_human_ranks_by_the_true_return_and_goes_on_after_a_kill(
     )
 
     def want(rankings: int) -> None:
-        value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=rankings)
-        request = SetParameters.Request(parameters=[Parameter(name="rankings", value=value)])
-        service = f"{topics.SIMULATED_HUMAN}/set_parameters"
-        assert probe.call(SetParameters, service, request).results[0].successful
+        assert probe.set_parameter(topics.SIMULATED_HUMAN, "rankings", rankings)[0]
 
     def is_done(rankings: int) -> bool:
         return bool(beats) and beats[-1].detail == f"done: {rankings} of {rankings} rankings"

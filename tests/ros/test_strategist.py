@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_episodes import small_episode
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RankingError
 from rapl_core.preferences import DeskConfig, QueryDesk, QueryRequest, RankingStore
-from rapl_core.types import Episode, Ranking
+from rapl_core.types import Ranking
 from rapl_ros.strategist import Strategist
 
 pytestmark = pytest.mark.timeout(240)
@@ -25,19 +26,7 @@ def add_video(episodes: EpisodeStore, number: int) -> str:
         x = step * number * 5 // VIDEOS
         frames[step, 12:20, x : x + 8] = (240, 200, 30)
     name = f"video-{number:02d}"
-    episodes.add(
-        Episode(
-            episode_id=name,
-            task="franka_group",
-            world=0,
-            purpose="demonstrate",
-            controller="demonstrator",
-            frames=frames,
-            states=np.zeros((5, 2)),
-            actions=np.zeros((4, 2)),
-            stamps_ns=np.arange(1, 6, dtype=np.int64),
-        )
-    )
+    episodes.add(small_episode(name, frames))
     return name
 
 

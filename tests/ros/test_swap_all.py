@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from published_files import FILES
 from rapl_msgs import msg as wire_msg
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
 from ros_harness import NodeProcess, Probe
 from sensor_msgs.msg import Image
+from small_episodes import small_episode
 
 from rapl_core.episodes import EpisodeStore
 from rapl_core.preferences import RankingStore
@@ -35,7 +34,7 @@ from rapl_core.representations.pretrained import RAW_RECIPE
 from rapl_core.representations.probe import supervised_probe
 from rapl_core.representations.tcc import TccConfig, learn_tcc
 from rapl_core.representations.trainable import save_network
-from rapl_core.types import Episode, Ranking, Triplet
+from rapl_core.types import Ranking, Triplet
 from rapl_ros import conversions, qos, topics
 from rapl_ros.wire import Instant, JoinKey
 
@@ -66,19 +65,7 @@ def make_run(folder: Path) -> None:
     """A run with videos, a ranking, a checkpoint of each method and a file of published weights."""
     store = EpisodeStore(folder / "episodes")
     for number, name in enumerate(NAMES):
-        store.add(
-            Episode(
-                episode_id=name,
-                task="franka_group",
-                world=0,
-                purpose="demonstrate",
-                controller="demonstrator",
-                frames=pictures(number),
-                states=np.zeros((STEPS + 1, 2)),
-                actions=np.zeros((STEPS, 2)),
-                stamps_ns=np.arange(1, STEPS + 2, dtype=np.int64),
-            )
-        )
+        store.add(small_episode(name, pictures(number)))
     with RankingStore(folder / "rankings.sqlite") as rankings:
         rankings.add(Ranking("r0", "test", tuple(EXPERTS), (1, 2, 3)))
     (folder / "weights").mkdir()
@@ -140,10 +127,7 @@ class Graph:
         )
 
     def set_encoder(self, name: str) -> tuple[bool, str]:
-        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=name)
-        request = SetParameters.Request(parameters=[Parameter(name="encoder", value=value)])
-        response = self.probe.call(SetParameters, "encoder/set_parameters", request, START_S)
-        return response.results[0].successful, response.results[0].reason
+        return self.probe.set_parameter(topics.ENCODER, "encoder", name, START_S)
 
     def warm_up(self) -> None:
         """Wait until the two nodes have found each other: an episode is rewarded."""

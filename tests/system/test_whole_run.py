@@ -8,8 +8,7 @@ import yaml
 from graph_run import WORLDS, FinishedRun, stages_shown
 from rapl_msgs import msg as wire_msg
 from rapl_msgs.action import Train
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from ros_harness import Probe
 
@@ -146,10 +145,7 @@ def test_stamps_increase_per_world_across_resets_and_the_restart(finished: Finis
 
 
 def set_encoder(probe: Probe, name: str) -> tuple[bool, str]:
-    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=name)
-    request = SetParameters.Request(parameters=[Parameter(name="encoder", value=value)])
-    response = probe.call(SetParameters, "encoder/set_parameters", request, PATIENCE_S)
-    return response.results[0].successful, response.results[0].reason
+    return probe.set_parameter(topics.ENCODER, "encoder", name, PATIENCE_S)
 
 
 def encoder_at_work(probe: Probe) -> str:

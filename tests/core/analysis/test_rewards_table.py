@@ -39,7 +39,7 @@ def result(preset: str, reward: str, seed: int, **measures: Any) -> dict[str, An
     known = {
         "step": 0.5, "step_undefined": 2, "step_given_time": 0.4, "step_one_at_a_time": 0.3,
         "concordance": 0.6, "episode": 0.7, "arm_only": 0.2, "success_gain": 1.0,
-        "triplets": 1000, "triplet_accuracy": 0.8, "videos": {"mime": 20, "push": 80},
+        "triplets": 1000, "triplet_accuracy": 0.8, "video_mix": {"mime": 20, "push": 80},
         "landscape": {
             "rise": 1.0, "pit": 0.0, "over_alone": 0.5, "gap": 0.3, "arm": 0.0, "random": 0.6,
             "ways": {name: list(np.linspace(0, 1, 9)) for name in ways(0.0)},
