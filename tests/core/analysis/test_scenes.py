@@ -1,7 +1,6 @@
 """Scenes placed by hand: what r* says of them, and what stand-ins for rewards do."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ class ByState:
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scenes]:
     patched = pytest.MonkeyPatch()
     patched.setattr(scenes, "RANDOM_SCENES", 12)
     folder = tmp_path_factory.mktemp("scenes")
@@ -35,7 +34,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
     patched.undo()
 
 
-def test_there_is_a_picture_and_r_star_of_each_scene(drawn: Scenes, tmp_path: Path) -> None:
+def test_there_is_a_picture_and_r_star_of_each_scene(drawn: Scenes) -> None:
     placed = len(LANES) * sum(map(len, ways(0.0).values()))
     assert drawn.frames.shape[0] == len(drawn.human) == placed + 12
     assert drawn.frames.dtype == np.uint8 and drawn.frames.std(axis=0).max() > 0
