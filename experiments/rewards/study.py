@@ -51,6 +51,8 @@ from videos import make_videos, rank  # noqa: E402
 POOL, TEST, TRIPLETS = 300, 100, 150
 MASKED_FRAMES = 20
 """Frames of each video of the pool that a masked autoencoder learns from."""
+SCRATCH_SEED = 999
+"""Of the videos that a network from scratch is pre-trained on, once for all seeds of the table."""
 
 
 @dataclass
@@ -102,7 +104,8 @@ class Study:
     :param weights: folder with published weights.
     :param demonstrations: that TCC learns from; 0: the preferred ones of the pool.
     :param views: changed copies of each of them.
-    :param masked: how masked autoencoders learn.
+    :param masked: how a masked autoencoder is pre-trained.
+    :param lora_iterations: of its adaptation to the seed's pool.
     :param presets: that rows may be asked for; empty: all.
     """
 
@@ -114,10 +117,12 @@ class Study:
         demonstrations: int = 500,
         views: int = 1,
         masked: MaskedConfig | None = None,
+        lora_iterations: int = 500,
         presets: Sequence[Preset] = (),
     ) -> None:
         self.presets = presets or [get_preset(name) for name in preset_names()]
         self.masked = masked or MaskedConfig()
+        self.lora = replace(self.masked, iterations=lora_iterations)
         self.seed, self.work, self.weights = seed, work, weights
         self.demonstrations, self.views = demonstrations, views
         self.spent = Spent()
@@ -178,7 +183,7 @@ class Study:
             else:
                 encoder = raw_encoder_from(features, self.experts, rng, method.name, preset)
                 if method.lesson == "frames":
-                    told = {"iterations": self.masked.iterations}
+                    told = {"iterations": self._taught_by(method)[1].iterations}
         return Made(encoder, embedded_experts(encoder, features), told)
 
     def _make_tcc(self, method: Method, preset: Preset, rng: np.random.Generator) -> Made:
@@ -299,21 +304,30 @@ class Study:
         return bool(self.weights and weights_in(self.weights, method.backbone))
 
     def _kept(self, method: Method, backbone: str) -> Path:
-        name = f"{method.name}-{self.seed}-{self.masked.iterations}-{backbone}"
+        seed, config = self._taught_by(method)
+        name = f"{method.name}-{seed}-{config.iterations}-{backbone}"
         return self.work / "backbones" / f"{name}.safetensors"
 
-    def _train_backbone(self, method: Method) -> None:
-        """Masked autoencoding on the pool, once a seed: from scratch, or by LoRA on what is there.
+    def _taught_by(self, method: Method) -> tuple[int, MaskedConfig]:
+        """Seed of the videos and the way in which a masked autoencoder learns from them."""
+        is_scratch = method.name == "mae_scratch"
+        return (SCRATCH_SEED, self.masked) if is_scratch else (self.seed, self.lora)
 
-        What is there are MVP's weights or, where they are not given, those from scratch.
+    def _train_backbone(self, method: Method) -> None:
+        """Masked autoencoding: from scratch once for all seeds, by LoRA on the seed's own pool.
+
+        LoRA starts from MVP's weights or, where they are not given, from those from scratch.
         """
         backbone, file = self._backbone(method)
-        if file is not None and file.is_file():
-            return
         assert file is not None
-        rng, config = np.random.default_rng([self.seed, 403]), self.masked
+        if file.is_file():
+            return
+        seed, config = self._taught_by(method)
+        with self.spent.on("videos"):
+            videos = make_videos(seed, "demonstrate", POOL, self.work)
+        rng = np.random.default_rng([seed, 403])
         frames = np.concatenate(
-            [v.frames[rng.choice(len(v.frames), MASKED_FRAMES, replace=False)] for v in self.pool]
+            [v.frames[rng.choice(len(v.frames), MASKED_FRAMES, replace=False)] for v in videos]
         )
         if method.name == "mae_scratch":
             with self.spent.on("masked autoencoder"):

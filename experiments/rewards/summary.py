@@ -20,7 +20,10 @@ LEAST_GAIN = 0.1
 """Below this gain of successful videos, in standard deviations of the reward, a share of it means
 nothing."""
 
-_MASKED = ("mae_scratch", "mvp_finetuned")
+_MASKED = {
+    "mae_scratch": "Masked autoencoder from scratch, once for all seeds",
+    "mvp_finetuned": "Adapted by LoRA to the pool of each seed",
+}
 
 Result = dict[str, Any]
 Results = dict[tuple[str, str], dict[int, Result]]
@@ -197,9 +200,10 @@ def _about_rows(results: Results) -> str:
             f"- TCC learnt from {demonstrations} preferred demonstrations and {views} changed "
             "copies of each."
         )
-    masked = {c["made"]["iterations"] for c in contents if c["reward"] in _MASKED}
-    for iterations in sorted(masked):
-        lines.append(f"- Masked autoencoders learnt for {iterations:,} iterations of 32 pictures.")
+    for reward, words in _MASKED.items():
+        counts = {c["made"]["iterations"] for c in contents if c["reward"] == reward}
+        for iterations in sorted(counts):
+            lines.append(f"- {words}: {iterations:,} iterations of 32 pictures.")
     commits = sorted({c["commit"][:12] for c in contents})
     machines = sorted({", ".join(map(str, c["machine"].values())) for c in contents})
     lines.append(f"- Commits {', '.join(commits)}; {'; '.join(machines)}.")
