@@ -3,6 +3,7 @@
     python experiments/rewards/every_row.py                      # all rows
     python experiments/rewards/every_row.py --rows r3m mvp       # these
     python experiments/rewards/every_row.py --weights FOLDER     # published weights, if it has them
+    python experiments/rewards/every_row.py --rows liv --engine openvino   # large networks, sooner
 
 Published weights that are not given are made up: files of the published layout, as the loaders'
 tests make them, which show that the whole way works and nothing more. Writes ``every_row.json``:
@@ -16,7 +17,7 @@ import os
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", nargs="+", default=ROWS, choices=ROWS)
     parser.add_argument("--weights", type=Path, help="folder with published weights")
+    parser.add_argument("--engine", help="what computes features; the run's own default")
     parser.add_argument("--out", type=Path, default=Path("runs/every_row"), help="run folders")
     parser.add_argument("--results", type=Path, default=HERE / "every_row.json")
     parser.add_argument("--again", action="store_true", help="run them all again")
@@ -138,7 +140,10 @@ def main() -> None:
     for name in options.rows:
         if not options.again and known.get(name, {}).get("exit_status") == expected(name):
             continue
-        found = run(row_of(name, options.weights, out / "weights"), out, program)
+        row = row_of(name, options.weights, out / "weights")
+        if options.engine:
+            row = replace(row, options=(*row.options, "--engine", options.engine))
+        found = run(row, out, program)
         print(found["row"], found["exit_status"], found["seconds"], found["last_line"], flush=True)
         known[name] = found
         content = {"machine": machine(), "rows": [known[n] for n in ROWS if n in known]}

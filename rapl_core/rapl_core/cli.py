@@ -111,11 +111,15 @@ def _report(run: Path, oracle: Path | None) -> None:
     from rapl_core.policies.learning_curve import LearningCurve
     from rapl_core.representations import make_encoder
 
-    settings = read_run(run).settings
-    reward = settings["reward"]
+    record = read_run(run)
+    settings, reward = record.settings, record.settings["reward"]
     encoder = None
     if reward != "ground_truth":
         encoder = make_encoder(settings.get("encoder") or reward, run)
+        if (engine := settings.get("engine", "torch")) != "torch":
+            experts = encoder.expert_ids or record.expert_ids()
+            pictures = record.store.frames(experts[0]) if experts else None
+            encoder.extractor.use_engine(engine, pictures=pictures)
     print(write_report(run, encoder, LearningCurve.load(oracle) if oracle else None))
 
 

@@ -33,9 +33,6 @@ from rapl_ros.node import RaplNode, main
 from rapl_ros.parameters import ConfigParameters
 from rapl_ros.wire import EmbeddedFrame, JoinKey
 
-CHECK_EVERY = 4
-"""Of an expert video's frames every fourth one is what an inference engine is checked on."""
-
 AT_WORK_FILE = "at_work.json"
 """In ``<run folder>/encoders``: what a restarted node takes up again."""
 
@@ -289,7 +286,7 @@ def load(choice: EncoderChoice, config: EncoderNodeConfig) -> EncoderAtWork:
     ids = encoder.expert_ids or _preferred(config)
     episodes = EpisodeStore(config.run_folder / "episodes")
     if config.engine != "torch":
-        pictures = episodes.frames(ids[0])[::CHECK_EVERY] if ids else None
+        pictures = episodes.frames(ids[0]) if ids else None
         encoder.extractor.use_engine(config.engine, config.threads, pictures)
     _try_out(encoder)
     experts = tuple(encoder.embed_expert(i, episodes.frames(i)) for i in ids)

@@ -43,7 +43,12 @@ STRATEGY_PACE_S = 0.3
 
 NODES: tuple[NodeEntry, ...] = (
     NodeEntry("simulator", "rapl_ros.simulator_node", ("task", "worlds", "clock_file")),
-    NodeEntry("encoder", "rapl_ros.encoder_node", ("run_folder", "weights"), imports_torch=True),
+    NodeEntry(
+        "encoder",
+        "rapl_ros.encoder_node",
+        ("run_folder", "weights", "engine"),
+        imports_torch=True,
+    ),
     NodeEntry("ot_reward", "rapl_ros.ot_reward_node", ("source", "human_reward_scale")),
     NodeEntry("recorder", "rapl_ros.recorder_node", ("run_folder", "purposes"), stops_last=True),
     NodeEntry(
@@ -133,6 +138,7 @@ def run_parameters(
         "backbone": config.backbone,
         # Unless given it is left to the node: an encoder that restarts takes up its own again.
         **({"weights": str(Path(config.weights).resolve())} if config.weights else {}),
+        "engine": config.engine,
         "tcc_iterations": config.tcc_iterations,
         "masked_iterations": config.masked_iterations,
         "strategy": config.query_strategy,

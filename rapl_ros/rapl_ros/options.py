@@ -14,6 +14,7 @@ from rapl_core.preferences.wishes import wish_names
 from rapl_ros.run_config import CONFIG_FILE, RESULTS_FILE, RunConfig, load_config
 from rapl_ros.run_lock import is_running
 from rapl_ros.settings import (
+    ENGINES,
     HUMANS,
     NOISES,
     PRESETS,
@@ -181,6 +182,11 @@ def _add_learning(parser: _Parser, default: RunConfig) -> None:
         "--weights",
         metavar="PATH",
         help="its weights: a file, or a folder that holds it as NAME.pt (where they are usually)",
+    )
+    parser.add_argument(
+        "--engine",
+        metavar="NAME",
+        help=f"what computes its features: {' | '.join(ENGINES)} ({default.engine})",
     )
     _add_number(parser, "steps", f"world steps of learning ({default.steps})")
     _add_number(parser, "worlds", f"worlds simulated side by side ({default.worlds})")

@@ -44,6 +44,8 @@ class RunConfig:
     """Network that an encoder is made on; empty: the one that its method names."""
     weights: str = ""
     """File with that network's weights, or a folder that holds it as <backbone>.pt."""
+    engine: str = "torch"
+    """What computes the features that the robot is rewarded by: torch, or openvino."""
     tcc_iterations: int = 4_000
     masked_iterations: int = 1_500
     """Of mae_scratch and mvp_finetuned."""

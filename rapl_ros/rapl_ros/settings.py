@@ -1,5 +1,6 @@
 """What the settings of a run may be, for the command line and for the launch file."""
 
+import importlib.util
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,7 @@ REWARDS = {
     "clock": "a control: the frame's index alone",
     "mean_distance": "a control: mean distance to all expert frames, raw ImageNet features",
 }
+ENGINES = ("torch", "openvino")
 HUMANS = {
     "simulated": "ranks by its own reward r*, at once",
     "web": "people rank on a page in the browser; the run waits for them",
@@ -87,6 +89,9 @@ def checked(config: RunConfig, tasks: Sequence[str]) -> RunConfig:
         check_name(config.backbone, "backbone", backbone_names())
     if config.weights and not Path(config.weights).exists():
         raise RaplError(f"no weights at {config.weights}; give a file, or a folder of them")
+    check_name(config.engine, "inference engine", ENGINES)
+    if config.engine == "openvino" and importlib.util.find_spec("openvino") is None:
+        raise RaplError("--engine openvino needs the Python package openvino: not installed here")
     config.check_online()
     check_name(config.query_strategy, "query strategy", STRATEGIES)
     check_name(config.noise, "treatment of noise", NOISES)

@@ -119,6 +119,7 @@ def test_a_part_of_the_nodes_can_be_launched(tmp_path: Path) -> None:
         ({"human": "webb"}, "unknown human 'webb'; known: simulated, web"),
         ({"encoder": "eye"}, "unknown encoder 'eye'"),
         ({"backbone": "spine"}, "unknown backbone 'spine'"),
+        ({"engine": "steam"}, "unknown inference engine 'steam'; known: openvino, torch"),
         ({"weights": "/nowhere"}, "no weights at /nowhere"),
         ({"online": "2", "reward": "imagenet"}, "'imagenet' learns nothing from them"),
     ],
