@@ -7,30 +7,25 @@
 
 Published weights that are not given are made up: files of the published layout, as the loaders'
 tests make them, which show that the whole way works and nothing more. Writes ``every_row.json``:
-for each row its command, weights, exit status, seconds and stages. What is there with exit status 0
-is not run again; ``--again`` forgets it.
+for each row its command, weights, exit status, seconds and stages. What is there and ended as it
+should is not run again; ``--again`` forgets it.
 """
 
 import argparse
-import json
-import os
-import subprocess
 import sys
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from rapl_core.analysis.provenance import commit, machine
-from rapl_core.analysis.stages import read_stages
+sys.path.append(str(Path(__file__).parents[1]))
+
+from quick_runs import ROOT, QuickRun, add_options, run_all
+
 from rapl_core.representations.backbones import backbone_spec
 from rapl_core.representations.methods import get_method, method_names
 from rapl_core.representations.public_checkpoints import PUBLIC
 from rapl_core.representations.weights import weights_in
 
-HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
-LIMIT_S = 3600.0
+TASK = "franka_group"
 MADE_UP = "made up, of the published layout"
 FROM_SCRATCH = "pre-trained from scratch on the run's own videos"
 ORACLE = "ground_truth"
@@ -41,35 +36,26 @@ REFUSED = "supervised_probe"
 ROWS = sorted([ORACLE, SCRATCH, *method_names()])
 
 
-@dataclass(frozen=True)
-class Row:
-    """One command line and what the encoder's weights are."""
-
-    name: str
-    options: tuple[str, ...]
-    weights: str
-
-
-def row_of(name: str, given: Path | None, made: Path) -> Row:
+def row_of(name: str, given: Path | None, made: Path) -> QuickRun:
     """The command line of a row.
 
     :param given: folder with published weights.
     :param made: where made-up ones go.
     """
     if name == ORACLE:
-        return Row(name, ("--reward", name), "none needed")
+        return QuickRun(name, TASK, ("--reward", name), "none needed")
     if name == SCRATCH:
         options = ("--reward", "mvp_finetuned", "--backbone", "mae_vit")
-        return Row(name, options, FROM_SCRATCH)
+        return QuickRun(name, TASK, options, FROM_SCRATCH)
     method = get_method(name)
     if method.backbone not in {spec.name for spec in PUBLIC}:
         scratch = method.name == "mae_scratch"
         words = FROM_SCRATCH if scratch else backbone_spec(method.backbone).title
-        return Row(name, ("--reward", name), words)
+        return QuickRun(name, TASK, ("--reward", name), words, 2 if name == REFUSED else 0)
     found = weights_in(given, method.backbone) if given else None
     file = found or make_up(method.backbone, made)
-    words = "published" if found else MADE_UP
-    return Row(name, ("--reward", name, "--weights", str(file)), f"{method.backbone}, {words}")
+    words = f"{method.backbone}, {'published' if found else MADE_UP}"
+    return QuickRun(name, TASK, ("--reward", name, "--weights", str(file)), words)
 
 
 def make_up(backbone: str, folder: Path) -> Path:
@@ -84,77 +70,22 @@ def make_up(backbone: str, folder: Path) -> Path:
     return path
 
 
-def run(row: Row, out: Path, program: list[str]) -> dict[str, Any]:
-    """Run a row and say what became of it."""
-    folder = out / row.name.replace(" ", "-")
-    command = [*program, "franka_group", *row.options, "--quick", "--out", str(folder)]
-    began, begun_at = time.monotonic(), commit()  # what runs, whatever is committed meanwhile
-    log = out / f"{folder.name}.log"
-    with log.open("w") as file:
-        process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, cwd=ROOT)
-        try:
-            status: int | None = process.wait(LIMIT_S)
-        except subprocess.TimeoutExpired:
-            process.terminate()
-            process.wait()
-            status = None
-    results = folder / "results.json"
-    found = json.loads(results.read_text()) if results.is_file() else {}
-    lines = log.read_text().strip().splitlines()
-    return {
-        "row": row.name,
-        "command": " ".join(["./run_all.sh franka_group", *_shown(row.options), "--quick"]),
-        "weights": row.weights,
-        "exit_status": status,
-        "last_line": "" if status == 0 or not lines else lines[-1],
-        "seconds": round(time.monotonic() - began, 1),
-        "stages": {s.name: [s.status, round(s.seconds, 1)] for s in read_stages(folder)},
-        "encoder": found.get("encoder"),
-        "episodes_evaluated": found.get("success", {}).get("final_episodes"),
-        "commit": begun_at,
-    }
-
-
-def _shown(options: tuple[str, ...]) -> list[str]:
-    """Options without the machine's own folders."""
-    return [Path(o).name if os.sep in o else o for o in options]
-
-
 def main() -> None:
-    """Run what is missing and keep the table of it after each row."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    """Run what is missing."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rows", nargs="+", default=ROWS, choices=ROWS)
     parser.add_argument("--weights", type=Path, help="folder with published weights")
     parser.add_argument("--engine", help="what computes features; the run's own default")
-    parser.add_argument("--out", type=Path, default=Path("runs/every_row"), help="run folders")
-    parser.add_argument("--results", type=Path, default=HERE / "every_row.json")
-    parser.add_argument("--again", action="store_true", help="run them all again")
-    parser.add_argument("--no-setup", action="store_true", help="by this very Python, no set-up")
+    add_options(parser, Path("runs/every_row"), Path(__file__).parent / "every_row.json")
     options = parser.parse_args()
-    out = options.out.resolve()
-    out.mkdir(parents=True, exist_ok=True)
-    program = [sys.executable, "-m", "rapl_ros.run_all"] if options.no_setup else ["./run_all.sh"]
-    known: dict[str, Any] = {}
-    if options.results.is_file():
-        known = {row["row"]: row for row in json.loads(options.results.read_text())["rows"]}
-    for name in options.rows:
-        if not options.again and known.get(name, {}).get("exit_status") == expected(name):
-            continue
-        row = row_of(name, options.weights, out / "weights")
+
+    def of(name: str) -> QuickRun:
+        row = row_of(name, options.weights, options.out.resolve() / "weights")
         if options.engine:
-            row = replace(row, options=(*row.options, "--engine", options.engine))
-        found = run(row, out, program)
-        print(found["row"], found["exit_status"], found["seconds"], found["last_line"], flush=True)
-        known[name] = found
-        content = {"machine": machine(), "rows": [known[n] for n in ROWS if n in known]}
-        options.results.write_text(json.dumps(content, indent=1) + "\n")
-    bad = [name for name, row in known.items() if row["exit_status"] != expected(name)]
-    sys.exit(f"not as expected: {', '.join(bad)}" if bad else 0)
+            return replace(row, options=(*row.options, "--engine", options.engine))
+        return row
 
-
-def expected(name: str) -> int:
-    """The exit status that a row should have."""
-    return 2 if name == REFUSED else 0
+    run_all(options.rows, of, options)
 
 
 if __name__ == "__main__":
