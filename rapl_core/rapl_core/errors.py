@@ -40,3 +40,7 @@ class ConvergenceError(RaplError):
 
 class RankingError(RaplError):
     """A ranking is not acceptable: unknown or repeated episodes, wrong ranks."""
+
+
+class RefusedError(RaplError):
+    """What is asked for is not done, as it would overwrite something or has nothing to go by."""

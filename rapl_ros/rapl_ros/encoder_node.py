@@ -286,10 +286,11 @@ def load(choice: EncoderChoice, config: EncoderNodeConfig) -> EncoderAtWork:
     ids = encoder.expert_ids or _preferred(config)
     episodes = EpisodeStore(config.run_folder / "episodes")
     if config.engine != "torch":
-        pictures = episodes.frames(ids[0]) if ids else None
+        here = [i for i in ids if i in episodes]  # an exported encoder may come without its videos
+        pictures = episodes.frames(here[0]) if here else None
         encoder.extractor.use_engine(config.engine, config.threads, pictures)
     _try_out(encoder)
-    experts = tuple(encoder.embed_expert(i, episodes.frames(i)) for i in ids)
+    experts = encoder.experts or tuple(encoder.embed_expert(i, episodes.frames(i)) for i in ids)
     info = encoder.info
     rule = RewardRule(encoder.reward_kind, info.reward_scale, encoder.transport)
     return EncoderAtWork(encoder, rule, ExpertSet(info.name, info.version, experts))

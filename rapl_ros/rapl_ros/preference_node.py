@@ -348,9 +348,9 @@ class PreferenceNode(RaplNode):
         """Train, on the worker's thread."""
         import torch  # here, for it takes seconds and 250 MiB, and asking people needs none of it
 
+        from rapl_core.representations.alignment_job import AlignmentOrder, run_alignment
         from rapl_core.representations.masked import MaskedConfig
         from rapl_core.representations.tcc import TccConfig
-        from rapl_ros.alignment_job import AlignmentOrder, run_alignment
 
         torch.set_num_threads(self.config.threads)
         config, request = self.config, goal.request

@@ -8,9 +8,7 @@ from typing import Any
 from rapl_core.analysis.record import RunRecord
 from rapl_core.errors import CorruptFileError
 from rapl_core.preferences.agreement import agreement_table
-
-PEOPLE_FILE = "people.json"
-"""What alignment found about the annotators, in plain words and by group."""
+from rapl_core.preferences.people import PEOPLE_FILE
 
 
 @dataclass(frozen=True)

@@ -84,26 +84,35 @@ class RunRecord:
         return expert_set(self.rankings, min(EXPERTS, len(ranked))) if ranked else []
 
 
+def read_config(folder: Path) -> Mapping[str, Any]:
+    """All of config.yaml; its section ``run`` is there.
+
+    :raises CorruptFileError: if there is none, or it cannot be read.
+    """
+    path = folder / "config.yaml"
+    try:
+        config: Mapping[str, Any] = yaml.safe_load(path.read_text())
+        config["run"]
+    except FileNotFoundError as error:
+        raise CorruptFileError(f"{folder} holds no run: config.yaml is missing") from error
+    except (OSError, yaml.YAMLError, TypeError, KeyError) as error:
+        raise CorruptFileError(f"cannot read {path}: {error}") from error
+    return config
+
+
 def read_run(folder: Path) -> RunRecord:
     """Read a run.
 
     :raises CorruptFileError: if ``folder`` holds no run or a file of it cannot be read.
     """
-    path = folder / "config.yaml"
-    try:
-        config = yaml.safe_load(path.read_text())
-        settings = config["run"]
-    except FileNotFoundError as error:
-        raise CorruptFileError(f"{folder} holds no run: config.yaml is missing") from error
-    except (OSError, yaml.YAMLError, TypeError, KeyError) as error:
-        raise CorruptFileError(f"cannot read {path}: {error}") from error
+    config = read_config(folder)
     rankings: Sequence[Ranking] = ()
     if (folder / RANKINGS_FILE).exists():
         with RankingStore(folder / RANKINGS_FILE) as store:
             rankings = store.effective()
     return RunRecord(
         folder=folder,
-        settings=settings,
+        settings=config["run"],
         config=config,
         stages=read_stages(folder),
         episodes=tuple(EpisodeStore(folder / EPISODES_FOLDER).summaries()),

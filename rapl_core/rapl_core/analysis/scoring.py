@@ -32,6 +32,9 @@ class RewardingEncoder(Protocol):
     @property
     def expert_ids(self) -> tuple[str, ...]: ...
 
+    @property
+    def experts(self) -> tuple[EmbeddedEpisode, ...]: ...
+
     def embed(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]: ...
 
     def embed_expert(self, episode_id: str, frames: NDArray[np.uint8]) -> EmbeddedEpisode: ...
@@ -66,7 +69,7 @@ class Scorer:
 
     :param store: the videos.
     :param encoder: None: the ground truth is the reward.
-    :param expert_ids: the preferred videos D+.
+    :param expert_ids: the preferred videos D+; not looked for where the encoder brings its own.
     """
 
     def __init__(
@@ -77,7 +80,9 @@ class Scorer:
         self._known: dict[str, ScoredVideo] = {}
         self.experts: tuple[EmbeddedEpisode, ...] = ()
         if encoder is not None:
-            self.experts = tuple(encoder.embed_expert(e, store.frames(e)) for e in expert_ids)
+            self.experts = encoder.experts or tuple(
+                encoder.embed_expert(e, store.frames(e)) for e in expert_ids
+            )
         self._whole_experts: tuple[EmbeddedEpisode, ...] = ()
 
     def score(self, episode_id: str) -> ScoredVideo:
@@ -91,9 +96,10 @@ class Scorer:
 
     @property
     def has_plans(self) -> bool:
-        """Whether the reward is one of transport to preferred videos."""
-        encoder = self._encoder
-        return encoder is not None and encoder.reward_kind == "ot" and len(self.experts) > 1
+        """Whether the reward is one of transport to preferred videos, which are here."""
+        if self._encoder is None or self._encoder.reward_kind != "ot" or len(self.experts) < 2:
+            return False
+        return all(e.episode_id in self._store for e in self.experts)
 
     def plan(self, video: ScoredVideo) -> tuple[NDArray[np.float64], str, str]:
         """Return the coupling of a video with its closest expert.

@@ -16,6 +16,10 @@ from rapl_core.preferences.triplets import triplets_from
 from rapl_core.preferences.video_features import VideoFeatures
 from rapl_core.types import DoubtedTriplet, Noise, Ranking, Triplet
 
+PEOPLE_FILE = "people.json"
+"""In the run folder: what the last alignment found about the annotators, in plain words and by
+group."""
+
 
 @dataclass(frozen=True)
 class PeopleConfig:

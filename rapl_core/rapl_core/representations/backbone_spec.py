@@ -44,3 +44,5 @@ class BackboneSpec:
     """Arguments of ``timm.create_model``."""
     top_key: str = ""
     """Under which a file keeps its tensors; empty: at the top."""
+    url: str = ""
+    """Whence ``default_weights`` fetches them when they are first asked for; empty: it does not."""

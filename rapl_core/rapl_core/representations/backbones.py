@@ -1,5 +1,6 @@
 """Frozen image networks with real weights, by name."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
@@ -119,12 +120,12 @@ def stage_index(network: Any, name: str, stage: Stage) -> int:
 
 
 def load_backbone(
-    name: str, stages: tuple[Stage, ...] = ("final",), weights: Path | None = None
+    name: str, stages: tuple[Stage, ...] = ("final",), weights: Path | StateDict | None = None
 ) -> Backbone:
     """Build a frozen backbone with trained weights.
 
     :param weights: a file to take instead of the default place, or a folder that may hold it as
-        ``<name>.pt``, ``.pth`` or ``.safetensors``.
+        ``<name>.pt``, ``.pth`` or ``.safetensors``, or the tensors themselves.
     :raises UnknownNameError: for an unknown backbone or stage.
     :raises WeightsError: if the weights are missing, random, corrupt or of another architecture.
     """
@@ -139,18 +140,23 @@ def load_backbone(
     return Backbone(spec, network, stages, digest, given)
 
 
-def load_network(name: str, weights: Path | None = None) -> tuple[BackboneSpec, Any, str]:
+def load_network(
+    name: str, weights: Path | StateDict | None = None
+) -> tuple[BackboneSpec, Any, str]:
     """Build the whole network as it was trained, and say where its weights were given.
 
     :return: specification, network, and the file's path or nothing for the default place.
     :raises UnknownNameError, WeightsError: as of :func:`load_backbone`.
     """
     spec = backbone_spec(name)
-    given = weights_in(Path(weights), name) if weights is not None else None
-    path = given or _default_weights(spec, weights)
-    source = f"weights {path} for {name}"
+    given: Path | None = None
+    if isinstance(weights, Mapping):
+        state, source = dict(weights), f"given weights for {name}"
+    else:
+        given = weights_in(Path(weights), name) if weights is not None else None
+        path = given or _default_weights(spec, weights)
+        state, source = read_weights(path, spec.top_key), f"weights {path} for {name}"
     network: Any = timm.create_model(spec.architecture, pretrained=False, **spec.options)
-    state = read_weights(path, spec.top_key)
     if state.keys() != network.state_dict().keys():  # else it was written here
         state = spec.translate(network, state, source)
     load_into(network, state, source)
@@ -233,6 +239,7 @@ _BACKBONES = {
             architecture="resnet18",
             preprocessing=Preprocessing(mean=IMAGENET_MEAN, std=IMAGENET_STD),
             default_weights=lambda: cached_download(RESNET18_URL),
+            url=RESNET18_URL,
             translate=_unwrapped,
         ),
         *PUBLIC,

@@ -15,7 +15,7 @@ from rapl_core.representations.encoder import POOLS, Encoder
 from rapl_core.representations.extractor import make_extractor
 from rapl_core.representations.heads import Embedder, empty_head
 from rapl_core.representations.projection import Projection
-from rapl_core.representations.weights import load_into
+from rapl_core.representations.weights import StateDict, load_into
 
 MODEL_FILE = "model.safetensors"
 CARD_FILE = "card.json"
@@ -41,13 +41,19 @@ def save_encoder(encoder: Encoder, folder: Path, report: dict[str, Any] | None =
             (folder / CARD_FILE).touch()
             return folder
         raise CorruptFileError(f"{folder} exists and is not encoder {encoder.info.version}")
+    own = encoder.extractor.backbone.weights_file if encoder.card.has_own_backbone else ""
+    if encoder.card.has_own_backbone and not own:
+        raise CorruptFileError(
+            f"encoder {encoder.info.version} came from an exported file with its backbone in it: "
+            f"copy that file beside {folder} instead"
+        )
     beside = folder.with_name(f".{folder.name}.{uuid.uuid4().hex}")
     try:
         beside.mkdir(parents=True)
         tensors = {k: v.contiguous() for k, v in encoder.tensors.items()}
         save_file(tensors, beside / MODEL_FILE, metadata={"version": encoder.info.version})
-        if encoder.card.has_own_backbone:
-            shutil.copyfile(encoder.extractor.backbone.weights_file, beside / BACKBONE_FILE)
+        if own:
+            shutil.copyfile(own, beside / BACKBONE_FILE)
         card = {**encoder.card.to_json(), "version": encoder.info.version}
         (beside / CARD_FILE).write_text(json.dumps(card, indent=2) + "\n")
         if report is not None:
@@ -69,27 +75,46 @@ def load_encoder(folder: Path, weights: Path | None = None) -> Encoder:
         weights are missing or others than at training.
     """
     folder = Path(folder)
-    content = _read_card(folder)
+    content, tensors = read_card(folder), _read_tensors(folder)
     version = content.pop("version", None)
     card = EncoderCard.from_json(content, str(folder / CARD_FILE))
-    tensors, source = _read_tensors(folder), str(folder / MODEL_FILE)
+    if card.has_own_backbone:
+        weights = folder / BACKBONE_FILE
+    encoder = assemble(card, tensors, weights, str(folder / MODEL_FILE))
+    check_version(encoder, version, folder)
+    return encoder
+
+
+def assemble(
+    card: EncoderCard, tensors: StateDict, weights: Path | StateDict | None, source: str
+) -> Encoder:
+    """An encoder of its parts.
+
+    :param tensors: :attr:`Encoder.tensors`.
+    :param weights: the backbone's; None: at their recorded or default place.
+    :param source: of the tensors, named in errors.
+    :raises WeightsError: as of :func:`load_encoder`.
+    """
     of_pools = {k.removeprefix(POOLS): t for k, t in tensors.items() if k.startswith(POOLS)}
     embedder = _empty_embedder(card)
     load_into(embedder, {k: t for k, t in tensors.items() if not k.startswith(POOLS)}, source)
     recorded = Path(card.weights_file) if card.weights_file else None
-    if card.has_own_backbone:
-        weights = folder / BACKBONE_FILE
-    elif weights is None and recorded is not None and recorded.is_file():
+    if weights is None and recorded is not None and recorded.is_file():
         weights = recorded
     extractor = make_extractor(card.backbone, card.recipe, weights)
     load_into(extractor.pools, of_pools, source)
-    encoder = Encoder(extractor, embedder, card)
+    return Encoder(extractor, embedder, card)
+
+
+def check_version(encoder: Encoder, version: object, source: Path) -> None:
+    """
+    :raises CorruptFileError: if the encoder is not the one that was saved.
+    """
     if encoder.info.version != version:
         raise CorruptFileError(
-            f"{folder} was saved as encoder {version} and reads as {encoder.info.version}: "
+            f"{source} was saved as encoder {version} and reads as {encoder.info.version}: "
             "its files were changed"
         )
-    return encoder
 
 
 def checkpoint_folder(run_folder: Path, encoder: Encoder) -> Path:
@@ -97,7 +122,11 @@ def checkpoint_folder(run_folder: Path, encoder: Encoder) -> Path:
     return Path(run_folder) / "encoders" / f"{encoder.card.method}-{encoder.info.version}"
 
 
-def _read_card(folder: Path) -> dict[str, Any]:
+def read_card(folder: Path) -> dict[str, Any]:
+    """What the card of a checkpoint says, unchecked, and under ``version`` whose it is.
+
+    :raises CorruptFileError: if there is none that can be read.
+    """
     path = folder / CARD_FILE
     try:
         content = json.loads(path.read_text())
@@ -110,6 +139,21 @@ def _read_card(folder: Path) -> dict[str, Any]:
     return content
 
 
+def read_report(folder: Path) -> dict[str, Any]:
+    """How the training of a checkpoint went, as :func:`save_encoder` was told; empty if it was not.
+
+    :raises CorruptFileError: if it cannot be read.
+    """
+    path = folder / REPORT_FILE
+    if not path.is_file():
+        return {}
+    try:
+        report = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise CorruptFileError(f"{path} cannot be read: {error}") from error
+    return report if isinstance(report, dict) else {}
+
+
 def _read_tensors(folder: Path) -> dict[str, Any]:
     path = folder / MODEL_FILE
     try:
@@ -120,7 +164,7 @@ def _read_tensors(folder: Path) -> dict[str, Any]:
 
 def _version_in(folder: Path) -> str | None:
     try:
-        return str(_read_card(folder).get("version"))
+        return str(read_card(folder).get("version"))
     except CorruptFileError:
         return None
 

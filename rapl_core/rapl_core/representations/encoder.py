@@ -19,7 +19,7 @@ from rapl_core.transport.plain_rewards import (
     goal_reward,
     scalar_reward,
 )
-from rapl_core.types import EmbeddedEpisode, EncoderInfo, Episode, RewardTrace
+from rapl_core.types import EmbeddedEpisode, EncoderInfo, Episode, RewardTrace, check_shape
 
 POOLS = "pools."
 """How the names of the poolings' tensors begin in a checkpoint."""
@@ -31,8 +31,15 @@ class Encoder:
     Immutable after creation; always computes in float32.
     """
 
-    def __init__(self, extractor: FeatureExtractor, embedder: Embedder, card: EncoderCard) -> None:
+    def __init__(
+        self,
+        extractor: FeatureExtractor,
+        embedder: Embedder,
+        card: EncoderCard,
+        experts: Sequence[EmbeddedEpisode] = (),
+    ) -> None:
         """
+        :param experts: D+ through this encoder, where it brings them along; see :attr:`experts`.
         :raises WeightsError: if the parts do not belong together or have NaN weights.
         """
         if card.backbone_sha256 != extractor.backbone.weights_sha256:
@@ -49,6 +56,11 @@ class Encoder:
         self.card = card
         self.extractor = extractor.eval().requires_grad_(False)
         self.embedder = embedder.eval().requires_grad_(False)
+        self.experts = tuple(experts)
+        """D+ where it came with them, from an exported file; empty: embed the videos that
+        :attr:`expert_ids` names."""
+        for expert in self.experts:
+            check_shape(f"expert {expert.episode_id}", expert.values, (None, card.dimension))
         self._version = card.version(self.tensors)
 
     @property

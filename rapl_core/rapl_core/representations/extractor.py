@@ -18,7 +18,7 @@ from rapl_core.representations.engines import Engine, OpenVinoEngine, flat_scene
 from rapl_core.representations.parts import PartPool
 from rapl_core.representations.pooling import Pooling, make_pool
 from rapl_core.representations.preprocessing import Preprocessing, preprocess
-from rapl_core.representations.weights import tensors_sha256
+from rapl_core.representations.weights import StateDict, tensors_sha256
 
 Precision = Literal["float32", "bfloat16"]
 CHECK_EVERY = 4
@@ -149,9 +149,11 @@ class FeatureExtractor(nn.Module):
 
 
 def make_extractor(
-    backbone: str, recipe: FeatureRecipe, weights: Path | None = None
+    backbone: str, recipe: FeatureRecipe, weights: Path | StateDict | None = None
 ) -> FeatureExtractor:
     """Load a backbone and read it by a recipe.
+
+    :param weights: as of :func:`load_backbone`.
 
     :raises UnknownNameError, WeightsError: from :func:`load_backbone`.
     """

@@ -160,7 +160,7 @@ def cached_download(url: str) -> Path:
 
     :raises WeightsError: if it is neither cached nor within reach.
     """
-    path = Path(torch.hub.get_dir()) / "checkpoints" / url.rsplit("/", 1)[-1]
+    path = cached_place(url)
     if path.is_file():
         return path
     expected = _HASH_IN_NAME.search(path.name)
@@ -175,6 +175,11 @@ def cached_download(url: str) -> Path:
             "elsewhere and put it there, or give its path with the option `weights`"
         ) from error
     return path
+
+
+def cached_place(url: str) -> Path:
+    """Where torch-hub's cache has the file at ``url``, once it was fetched."""
+    return Path(torch.hub.get_dir()) / "checkpoints" / url.rsplit("/", 1)[-1]
 
 
 def tensors_sha256(tensors: Mapping[str, torch.Tensor]) -> str:

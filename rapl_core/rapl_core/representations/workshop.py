@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rapl_core.episodes import EpisodeStore
+from rapl_core.episodes.summary import EpisodeSummary
 from rapl_core.errors import RankingError, UnknownNameError
 from rapl_core.representations.alignment import OnEpoch
 from rapl_core.representations.augmentation import augment_video
@@ -117,7 +118,7 @@ class Workshop:
         return Product(encoder)
 
     def _demonstrated(self, experts: list[str], rng: np.random.Generator) -> Product:
-        shown = self._demonstrations() or experts
+        shown = demonstrations_in(self.pool) or experts
         if self.method.reward == "goal":
             experts = shown
         names = list(dict.fromkeys([*shown, *experts]))
@@ -135,18 +136,6 @@ class Workshop:
                 features, experts, self.preset, config, rng, self.method.name, self.on_epoch, shown
             )
         return Product(encoder, report.to_json())
-
-    def _demonstrations(self) -> list[str]:
-        """Episodes that were made to show how it should be done; none of a task without scripts."""
-        from rapl_core.demonstrators import preferred_behaviours  # loads the simulator
-
-        preferred: set[str] = set()
-        for task in {e.task for e in self.pool}:
-            try:
-                preferred.update(preferred_behaviours(get_task(task)))
-            except UnknownNameError:  # a robot or a task that nobody scripted
-                continue
-        return [e.episode_id for e in self.pool if e.behaviour in preferred]
 
     def _masked(self, experts: list[str], rng: np.random.Generator) -> Product:
         """Pre-train from scratch, or adapt what is given; then as raw features."""
@@ -215,3 +204,16 @@ class Workshop:
                 store.add(f"{name}{VIEW_MARK}{view}", copy)
         self.on_video(len(names), len(names))
         return store
+
+
+def demonstrations_in(pool: Sequence[EpisodeSummary]) -> list[str]:
+    """Episodes that were made to show how it should be done; none of a task without scripts."""
+    from rapl_core.demonstrators import preferred_behaviours  # loads the simulator
+
+    preferred: set[str] = set()
+    for task in {e.task for e in pool}:
+        try:
+            preferred.update(preferred_behaviours(get_task(task)))
+        except UnknownNameError:  # a robot or a task that nobody scripted
+            continue
+    return [e.episode_id for e in pool if e.behaviour in preferred]

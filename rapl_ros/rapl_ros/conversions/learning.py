@@ -11,7 +11,7 @@ from rapl_ros.wire import LearnerMetrics, PolicyRecord
 
 if TYPE_CHECKING:
     from rapl_core.representations import EpochProgress
-    from rapl_ros.alignment_job import AlignmentOutcome
+    from rapl_core.representations.alignment_job import AlignmentOutcome
 
 
 def metrics_to_ros(metrics: LearnerMetrics, stamp_ns: int) -> wire_msg.Metrics:

@@ -37,6 +37,7 @@ class WhereIsTheSpot:
 
     reward_kind = "ot"
     expert_ids = ()
+    experts = ()
 
     def embed(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
         flat = frames[..., 0].reshape(len(frames), -1).argmax(axis=1)

@@ -1,4 +1,5 @@
-"""From the rankings of a run to an encoder on disk; the long work behind ``preference/align``."""
+"""From the rankings of a run to an encoder on disk: the long work behind the action
+``preference/align`` and the command ``rapl encoders train``."""
 
 import json
 import math
@@ -15,52 +16,47 @@ from rapl_core.errors import RankingError
 from rapl_core.preferences import RankingStore, triplets_from
 from rapl_core.preferences.own_videos import videos_to_learn_from
 from rapl_core.preferences.people import (
+    PEOPLE_FILE,
     GroupLesson,
     PeopleConfig,
     PeopleFindings,
     study_people,
 )
 from rapl_core.preferences.video_features import summarise
-from rapl_core.representations import (
-    AlignmentReport,
-    Encoder,
-    EpochProgress,
-    FeatureStore,
-    TiedTriplet,
-    align,
-    checkpoint_folder,
-    find_parts,
-    get_preset,
-    learn_reward,
-    make_extractor,
-    save_encoder,
-)
-from rapl_core.representations.extractor import FeatureRecipe, Precision
-from rapl_core.representations.features import MIRRORED
+from rapl_core.representations.checkpoints import checkpoint_folder, save_encoder
+from rapl_core.representations.encoder import Encoder
+from rapl_core.representations.extractor import FeatureRecipe, Precision, make_extractor
+from rapl_core.representations.features import MIRRORED, FeatureStore, find_parts
 from rapl_core.representations.masked import MaskedConfig
 from rapl_core.representations.methods import DEFAULT_BACKBONE, get_method
-from rapl_core.representations.presets import Preset
+from rapl_core.representations.presets import Preset, get_preset
+from rapl_core.representations.rapl import align
+from rapl_core.representations.report import AlignmentReport
+from rapl_core.representations.rlhf import learn_reward
 from rapl_core.representations.tcc import TccConfig
+from rapl_core.representations.training import EpochProgress, TiedTriplet
 from rapl_core.representations.workshop import Workshop, WorkshopConfig
 from rapl_core.types import Ranking
 
-PEOPLE_FILE = "people.json"
-"""In the run folder: what the last alignment found about the annotators."""
+RANKINGS_FILE = "rankings.sqlite"
+LEARNT_FROM = "learnt_from"
+"""In a checkpoint's report: ``annotators`` and ``rankings`` (their ids)."""
 
 
 @dataclass(frozen=True)
 class AlignmentOrder:
-    """What is to be made (goal of Align.action)."""
+    """What is to be made."""
 
     run_folder: Path
     method: str
-    preset: str
-    rankings: int
+    preset: str = "tuned"
+    rankings: int = 0
     """The first so many; 0: all."""
-    seed: int
-    experts: int
-    precision: Precision
-    purposes: tuple[str, ...]
+    seed: int = 0
+    experts: int = 10
+    """Videos in the expert set, the most preferred by the rankings alone."""
+    precision: Precision = "bfloat16"
+    purposes: tuple[str, ...] = ("demonstrate",)
     """Purposes of the episodes that are the pool of videos."""
     people: PeopleConfig = PeopleConfig()
     """What to make of wrong answers and of people who disagree."""
@@ -90,6 +86,9 @@ class GroupOutcome:
     """Relative to the run folder."""
     held_out_accuracy: float
     """NaN where nothing was learnt from triplets."""
+    held_out_triplets: int = 0
+    held_out_interval: tuple[float, float] = (0.0, 1.0)
+    """95 % interval of the accuracy."""
 
     @property
     def mistakes(self) -> float:
@@ -119,6 +118,7 @@ def run_alignment(
     :param on_epoch: the same for epochs.
     :raises UnknownNameError: for another method or preset, naming the known ones.
     :raises RankingError: if there are too few rankings.
+    :raises WeightsError: if the backbone's weights cannot be had.
     """
     method = get_method(order.method)
     workshop = Workshop(order.workshop, on_video, on_epoch)
@@ -159,8 +159,8 @@ def _learn(
     on_epoch: Callable[[EpochProgress], None],
 ) -> GroupOutcome:
     encoder: Encoder
-    report: dict[str, Any] | None = None
-    accuracy = math.nan
+    report: dict[str, Any] = {}
+    learnt: AlignmentReport | None = None
     experts = lesson.expert_ids
     if not lesson.triplets:
         raise RankingError(
@@ -168,9 +168,8 @@ def _learn(
         )
     if workshop.method.lesson != "rankings" or features is None:
         product = workshop.make(experts, rng)
-        encoder, report = product.encoder, product.report
+        encoder, report = product.encoder, product.report or {"method": order.method}
     else:
-        learnt: AlignmentReport
         if order.method == "rlhf":
             encoder, learnt = learn_reward(
                 features, lesson.triplets, experts, preset, rng, on_epoch
@@ -178,15 +177,25 @@ def _learn(
         else:
             ties = tied_triplets(lesson.rankings)
             encoder, learnt = align(features, lesson.triplets, experts, preset, rng, on_epoch, ties)
-        report, accuracy = learnt.to_json(), learnt.held_out_accuracy
+        report = learnt.to_json()
     folder = checkpoint_folder(order.run_folder, encoder)
-    save_encoder(encoder, folder, report)
+    save_encoder(encoder, folder, {**report, LEARNT_FROM: _sources(lesson)})
     return GroupOutcome(
         lesson,
         version=encoder.info.version,
         uri=str(folder.relative_to(order.run_folder)),
-        held_out_accuracy=accuracy,
+        held_out_accuracy=learnt.held_out_accuracy if learnt else math.nan,
+        held_out_triplets=learnt.held_out_triplets if learnt else 0,
+        held_out_interval=learnt.held_out_interval if learnt else (0.0, 1.0),
     )
+
+
+def _sources(lesson: GroupLesson) -> dict[str, Any]:
+    """Whose rankings, and which: so that others can be told from them later."""
+    return {
+        "annotators": list(lesson.annotators),
+        "rankings": [ranking.ranking_id for ranking in lesson.rankings],
+    }
 
 
 def _write_findings(folder: Path, people: PeopleFindings, outcomes: Sequence[GroupOutcome]) -> None:
@@ -208,7 +217,10 @@ def tied_triplets(rankings: Sequence[Ranking]) -> list[TiedTriplet]:
 
 
 def _rankings(order: AlignmentOrder) -> list[Ranking]:
-    with RankingStore(order.run_folder / "rankings.sqlite") as store:
+    path = order.run_folder / RANKINGS_FILE
+    if not path.is_file():
+        raise RankingError(f"{order.run_folder} has no {RANKINGS_FILE}: there is nothing to learn")
+    with RankingStore(path) as store:
         rankings = [ranking for ranking in store.effective() if ranking.ranks]
     return rankings[: order.rankings] if order.rankings else rankings
 
