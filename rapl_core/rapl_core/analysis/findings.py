@@ -46,15 +46,15 @@ def find(record: RunRecord, scorer: Scorer) -> Findings:
     experts = record.expert_ids()
     behaviours = {e.episode_id: e.behaviour for e in record.pool}
     preferred, disliked = choose_examples(_liking(record), behaviours, experts)
-    pool = _spread([e.episode_id for e in record.pool if e.episode_id not in experts], measured)
+    pool = spread([e.episode_id for e in record.pool if e.episode_id not in experts], measured)
     latest = _final_evaluation(record)
-    sets = [("pool", pool), ("the robot's own, after learning", _spread(latest, measured))]
+    sets = [("pool", pool), ("the robot's own, after learning", spread(latest, measured))]
     mimes = [e for e in behaviours if MIME in behaviours[e]]
     return Findings(
         agreement=tuple((name, scorer.agreement(ids)) for name, ids in sets if ids),
         arm_share=arm_only_share(
             [scorer.score(e).reward for e in experts],
-            [scorer.score(e).reward for e in _spread(mimes, measured // 4)],
+            [scorer.score(e).reward for e in spread(mimes, measured // 4)],
         ),
         preferred=tuple(map(scorer.score, preferred)),
         disliked=tuple(map(scorer.score, disliked)),
@@ -121,7 +121,7 @@ def _typical(record: RunRecord, episode_ids: Sequence[str], most: int = 2) -> li
     return (chosen or list(episode_ids[:1]))[:most]
 
 
-def _spread(episode_ids: Sequence[str], most: int) -> list[str]:
+def spread(episode_ids: Sequence[str], most: int) -> list[str]:
     """At most ``most`` of the videos, evenly spaced in their order."""
     if len(episode_ids) <= most:
         return list(episode_ids)

@@ -8,6 +8,7 @@ file's name without its suffix.
 
 import json
 import uuid
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,6 +51,7 @@ def export_encoder(
     file: Path,
     experts: tuple[EmbeddedEpisode, ...],
     frames: NDArray[np.uint8],
+    report: Mapping[str, Any] | None = None,
     with_backbone: bool = False,
     force: bool = False,
 ) -> ExportedFile:
@@ -60,14 +62,13 @@ def export_encoder(
     :param file: its name must end in ``.safetensors``.
     :param experts: D+ through this encoder, so that rewards need no videos there.
     :param frames: (N, H, W, 3) uint8 RGB.
+    :param report: how its training went.
     :param with_backbone: whether to take the backbone along although it was not trained here.
     :param force: whether to replace a file.
     :raises RefusedError: if the file exists, or has another suffix.
     :raises CorruptFileError: if it cannot be written, or reads back as another encoder.
     """
-    if file.suffix != SUFFIX:
-        raise RefusedError(f"cannot export to {file}: its name must end in {SUFFIX}")
-    _refuse_to_replace(file, force)
+    check_target(file, force)
     card = replace(encoder.card, weights_file="")
     tensors = {_ENCODER + k: t for k, t in encoder.tensors.items()}
     tensors |= {_EXPERTS + e.episode_id: from_numpy(e.values.copy()) for e in experts}
@@ -80,6 +81,7 @@ def export_encoder(
     metadata = {
         "format": FORMAT,
         "card": json.dumps({**card.to_json(), "version": encoder.info.version}),
+        "report": json.dumps(dict(report or {})),
         "sha256": tensors_sha256(tensors),
     }
     beside = file.with_name(f".{file.stem}.{uuid.uuid4().hex}{SUFFIX}")
@@ -87,7 +89,7 @@ def export_encoder(
         write_atomically(beside, save(tensors, metadata), error=CorruptFileError)
         again = load_exported(beside, given if given.is_file() else None)
         _compare(encoder, again, experts, frames, file)
-        _refuse_to_replace(file, force)  # somebody may have made it meanwhile
+        check_target(file, force)  # somebody may have made it meanwhile
         beside.replace(file)
     except OSError as error:
         raise CorruptFileError(f"cannot write {file}: {error.strerror or error}") from error
@@ -128,14 +130,22 @@ def read_exported_card(file: Path) -> dict[str, Any]:
 
     :raises CorruptFileError: if the file is no exported encoder.
     """
-    content = _metadata(file).get("card", "")
+    return _object(file, "card")
+
+
+def read_exported_report(file: Path) -> dict[str, Any]:
+    """How its training went; empty where that is not told. Errors as of the card."""
+    return _object(file, "report")
+
+
+def _object(file: Path, key: str) -> dict[str, Any]:
     try:
-        card = json.loads(content)
+        content = json.loads(_metadata(file).get(key, ""))
     except ValueError as error:
-        raise CorruptFileError(f"{file} has no card of an encoder: {error}") from error
-    if not isinstance(card, dict):
-        raise CorruptFileError(f"{file} has no card of an encoder")
-    return card
+        raise CorruptFileError(f"{file} has no {key} of an encoder: {error}") from error
+    if not isinstance(content, dict):
+        raise CorruptFileError(f"{file} has no {key} of an encoder")
+    return content
 
 
 def _metadata(file: Path) -> dict[str, str]:
@@ -186,6 +196,11 @@ def _compare(
         )
 
 
-def _refuse_to_replace(file: Path, force: bool) -> None:
+def check_target(file: Path, force: bool = False) -> None:
+    """
+    :raises RefusedError: if an encoder may not be exported to ``file``.
+    """
+    if file.suffix != SUFFIX:
+        raise RefusedError(f"cannot export to {file}: its name must end in {SUFFIX}")
     if file.exists() and not force:
         raise RefusedError(f"{file} exists; give another name, or --force to replace it")

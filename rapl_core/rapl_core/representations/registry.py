@@ -14,7 +14,12 @@ from rapl_core.representations.checkpoints import (
     read_report,
 )
 from rapl_core.representations.encoder import Encoder
-from rapl_core.representations.exported import SUFFIX, load_exported, read_exported_card
+from rapl_core.representations.exported import (
+    SUFFIX,
+    load_exported,
+    read_exported_card,
+    read_exported_report,
+)
 from rapl_core.representations.methods import DEFAULT_BACKBONE, get_method, method_names
 from rapl_core.representations.pretrained import raw_encoder
 
@@ -53,7 +58,7 @@ def saved_encoders(run_folder: Path) -> tuple[list[SavedEncoder], list[CorruptFi
             version = str(content.pop("version", ""))
             card = EncoderCard.from_json(content, str(path))
             made = path / MODEL_FILE if path.is_dir() else path
-            report = read_report(path) if path.is_dir() else {}
+            report = read_report(path) if path.is_dir() else read_exported_report(path)
             found.append(
                 SavedEncoder(_name_of(path), path, card, version, made.stat().st_mtime, report)
             )
@@ -62,6 +67,13 @@ def saved_encoders(run_folder: Path) -> tuple[list[SavedEncoder], list[CorruptFi
         except OSError as error:
             damaged.append(CorruptFileError(f"{path} cannot be read: {error}"))
     return found, damaged
+
+
+def report_of(encoder: Encoder, run_folder: Path) -> dict[str, Any]:
+    """How the training of an encoder of a run went; empty where that is not told."""
+    saved = saved_encoders(run_folder)[0]
+    reports = [s.report for s in saved if s.version == encoder.info.version]
+    return next(filter(None, reports), {})
 
 
 def make_encoder(
