@@ -88,7 +88,8 @@ def measure_encoder(
     store = EpisodeStore(run_folder / "episodes")
     rankings = _Rankings(run_folder)
     experts = encoder.expert_ids or rankings.expert_ids()
-    words, videos = _videos(store, encoder, experts, rankings)
+    taught = {*experts, *rankings.videos, *report.get(LEARNT_FROM, {}).get("videos", ())}
+    words, videos = _videos(store, encoder, taught)
     triplets = rankings.unseen(report)
     scorer = Scorer(store, encoder, experts)
     wanted = sorted({*videos, *(name for t in triplets for name in _names(t))})
@@ -144,17 +145,17 @@ class _Rankings:
         return triplets_from(r for r in self.effective if frozenset(r.episode_ids) not in asked)
 
 
-def _videos(
-    store: EpisodeStore, encoder: Encoder, experts: Sequence[str], rankings: _Rankings
-) -> tuple[str, list[str]]:
-    """In words and by id, MEASURED_VIDEOS at most."""
+def _videos(store: EpisodeStore, encoder: Encoder, taught: set[str]) -> tuple[str, list[str]]:
+    """In words and by id, MEASURED_VIDEOS at most.
+
+    :param taught: what was ranked, and experts.
+    """
     episodes = store.summaries()
     tests = [e.episode_id for e in episodes if e.purpose == TEST_PURPOSE]
     if tests:
         chosen = spread(tests, MEASURED_VIDEOS)
         return f"{len(chosen)} of {len(tests)} test episodes", chosen
     pool = [e for e in episodes if e.purpose == POOL_PURPOSE]
-    taught = {*experts, *rankings.videos}
     why = "in no ranking and no expert set"
     name = encoder.info.name
     lesson = get_method(name).lesson if name in method_names() else ""

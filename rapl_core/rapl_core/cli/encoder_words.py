@@ -13,6 +13,7 @@ from rapl_core.representations.encoder import Encoder
 from rapl_core.representations.exported import ExportedFile
 from rapl_core.representations.masked_architecture import MAE_BACKBONE
 from rapl_core.representations.methods import get_method, method_names
+from rapl_core.representations.public_checkpoints import weights_folder
 from rapl_core.representations.registry import SavedEncoder
 from rapl_core.representations.training import EpochProgress
 
@@ -38,27 +39,40 @@ def methods(weights: Path | None) -> str:
     :param weights: where to look for them too.
     """
     places = {name: find_weights(name, weights) for name in backbone_names()}
-    rows = [("METHOD", "WHAT IT IS", "LEARNS FROM", "REWARD", "BACKBONE")]
+    rows = [("METHOD", "WHAT IT IS", "LEARNS FROM", "REWARD", "BACKBONE", "ITS WEIGHTS")]
     for name in method_names():
         method = get_method(name)
         title = f"control: {method.title}" if method.is_control else method.title
-        rows.append((name, title, LESSONS[method.lesson], REWARDS[method.reward], method.backbone))
-    lines = [_table(rows), ""]
+        place, backbone = _place(places[method.backbone]), method.backbone
+        rows.append((name, title, LESSONS[method.lesson], REWARDS[method.reward], backbone, place))
     weight_rows = [("BACKBONE", "WHAT IT IS", "WEIGHTS")]
-    for name, place in places.items():
-        weight_rows.append((name, backbone_spec(name).title, _where(place)))
-    lines.append(_table(weight_rows))
-    missing = [p for p in places.values() if p.path is None and p.backbone != MAE_BACKBONE]
-    lines += ["", *(f"{p.backbone}: {p.advice}" for p in missing)]
-    return "\n".join(lines).rstrip()
+    for name, found in places.items():
+        weight_rows.append((name, backbone_spec(name).title, _place_in_full(found)))
+    return f"{_table(rows)}\n\n{_table(weight_rows)}\n\n{_how_to_give()}"
 
 
-def _where(place: WeightsPlace) -> str:
+def _place(place: WeightsPlace) -> str:
+    if place.path is not None:
+        return "here"
+    if place.backbone == MAE_BACKBONE:
+        return "made in training"
+    return "fetched" if backbone_spec(place.backbone).url else "not here"
+
+
+def _place_in_full(place: WeightsPlace) -> str:
+    spec = backbone_spec(place.backbone)
     if place.path is not None:
         return f"here: {place.path}"
     if place.backbone == MAE_BACKBONE:
-        return "none needed: train mae_scratch, or mvp_finetuned with --backbone mae_vit"
-    return "fetched when first asked for" if place.fetched_when_asked_for else "not here, see below"
+        return "made in training: of mae_scratch, or of mvp_finetuned with --backbone mae_vit"
+    return place.advice if spec.url or not spec.origin else f"not here: {spec.origin}"
+
+
+def _how_to_give() -> str:
+    return (
+        f"Weights that are not here: fetch the file, then give it with --weights FILE (to the node "
+        f"encoder: its parameter weights), or put it into {weights_folder()} as BACKBONE.pt"
+    )
 
 
 def saved(encoder: SavedEncoder, run: Path) -> str:
@@ -162,7 +176,13 @@ def _human_lines(human: HumanMeasures) -> list[str]:
             "pairs of frames over 2 cm apart in r*: share ordered right less share ordered wrong",
         ),
         _line("episode", human.episode, "rank correlation of the videos' sums with those of r*"),
-        _line("arm only", human.arm_only, "what mimes earn of the gain of successes; 0 is best"),
+        _line(
+            "arm only",
+            human.arm_only,
+            "what mimes earn of the gain of successes, 0 is best"
+            if math.isfinite(human.arm_only)
+            else "there are no mimes or no successes among these, or the latter gain nothing",
+        ),
     ]
 
 

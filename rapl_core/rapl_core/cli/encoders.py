@@ -99,7 +99,7 @@ def _list(arguments: argparse.Namespace) -> None:
     print(encoder_words.methods(arguments.weights))
     if run is not None:
         found, damaged = saved_encoders(run)
-        print(f"\n{run}: {len(found) or 'no'} trained encoders, the newest first")
+        print(f"\nIn {run}, the newest first:" if found else f"\nThere is no encoder in {run}")
         for saved in found:
             print(encoder_words.saved(saved, run))
         for error in damaged:
@@ -117,12 +117,17 @@ def _train(arguments: argparse.Namespace) -> None:
     order = _order(run, arguments)
     progress, began_s = Progress(), time.monotonic()
 
+    def on_video(number: int, videos: int) -> None:
+        progress.show("features of video", number, videos)
+
     def on_epoch(epoch: "EpochProgress") -> None:
         progress.show("epoch", epoch.epoch, epoch.epochs, encoder_words.epoch(epoch))
 
     print(f"{encoder_words.order(order)}, from {run}", file=sys.stderr)
     try:
-        done = run_alignment(order, lambda n, all: progress.show("video", n, all), on_epoch)
+        done = run_alignment(
+            order, lambda n, all: progress.show("features of video", n, all), on_epoch
+        )
     finally:
         progress.end()
     print(encoder_words.trained(done, order.method, time.monotonic() - began_s))

@@ -10,12 +10,13 @@ TENTHS = 10
 class Progress:
     """Writes to a stream that is not the one of the results.
 
-    :param stream: on a terminal the line is rewritten, elsewhere it comes once a tenth.
+    :param stream: on a terminal the line is rewritten, elsewhere it comes once a tenth; None:
+        standard error.
     """
 
-    def __init__(self, stream: TextIO = sys.stderr) -> None:
-        self._stream = stream
-        self._is_terminal = stream.isatty()
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream or sys.stderr
+        self._is_terminal = self._stream.isatty()
         self._last: tuple[str, int] = ("", -1)
         self._open_line = False
 

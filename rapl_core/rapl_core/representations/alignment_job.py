@@ -40,7 +40,7 @@ from rapl_core.types import Ranking
 
 RANKINGS_FILE = "rankings.sqlite"
 LEARNT_FROM = "learnt_from"
-"""In a checkpoint's report: ``annotators`` and ``rankings`` (their ids)."""
+"""In a checkpoint's report: ``annotators``, ``rankings`` (ids) and the ``videos`` in them."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +195,7 @@ def _sources(lesson: GroupLesson) -> dict[str, Any]:
     return {
         "annotators": list(lesson.annotators),
         "rankings": [ranking.ranking_id for ranking in lesson.rankings],
+        "videos": sorted({name for r in lesson.rankings for name in r.episode_ids}),
     }
 
 

@@ -18,11 +18,6 @@ class WeightsPlace:
     advice: str = ""
     """If not: where they are to be had and how to give them."""
 
-    @property
-    def fetched_when_asked_for(self) -> bool:
-        """Whether nothing need be done but to have a network."""
-        return self.path is None and bool(backbone_spec(self.backbone).url)
-
 
 def find_weights(backbone: str, weights: Path | None = None) -> WeightsPlace:
     """Look for the weights of a backbone; the file is not read.

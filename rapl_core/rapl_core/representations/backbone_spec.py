@@ -46,3 +46,5 @@ class BackboneSpec:
     """Under which a file keeps its tensors; empty: at the top."""
     url: str = ""
     """Whence ``default_weights`` fetches them when they are first asked for; empty: it does not."""
+    origin: str = ""
+    """What a user must fetch, and its licence, where no package carries them."""

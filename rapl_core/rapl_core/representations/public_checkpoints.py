@@ -26,12 +26,17 @@ _CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 _LIKE_IMAGENET = Preprocessing(224, 224, shorter_side=256, mean=IMAGENET_MEAN, std=IMAGENET_STD)
 
 
+def weights_folder() -> Path:
+    """Where they are looked for."""
+    return Path(os.environ.get(WEIGHTS_FOLDER, "~/.cache/rapl/weights")).expanduser()
+
+
 def _look_for(name: str, what: str, usual: Iterable[str]) -> Path:
     """The file where users keep it.
 
     :raises WeightsError: saying where it is to be had and how to give it.
     """
-    folder = Path(os.environ.get(WEIGHTS_FOLDER, "~/.cache/rapl/weights")).expanduser()
+    folder = weights_folder()
     places = [folder / f"{name}{suffix}" for suffix in WEIGHTS_SUFFIXES]
     places += [Path(place).expanduser() for place in usual]
     for place in places:
@@ -130,6 +135,7 @@ def _spec(
         preprocessing=preprocessing,
         default_weights=partial(_look_for, name, what, usual),
         translate=translate,
+        origin=what,
         **more,  # type: ignore[arg-type]
     )
 
