@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +26,10 @@ from rapl_core.representations import (
     raw_encoder_from,
     save_encoder,
 )
+from rapl_core.representations.exported import export_encoder
 from rapl_core.representations.pretrained import RAW_RECIPE
 from rapl_core.representations.registry import DEFAULT_BACKBONE
-from rapl_core.types import Ranking
+from rapl_core.types import EmbeddedEpisode, Ranking
 from rapl_ros import conversions, qos, topics
 from rapl_ros.encoder_node import AT_WORK_FILE
 from rapl_ros.wire import JoinKey
@@ -276,6 +278,26 @@ def test_a_swap_that_cannot_be_remembered_is_a_warning_and_holds(
     camera.probe.until(
         lambda: "encoder at work" not in camera.probe.status_of(topics.ENCODER), 5.0, "it is well"
     )
+
+
+def test_an_exported_encoder_works_with_the_experts_that_it_brings_and_without_their_videos(
+    camera: Camera, reference: Encoder, run_folder: Path
+) -> None:
+    expert = EmbeddedEpisode("elsewhere-7", reference.embed(pictures(90, 4)))
+    card = replace(reference.card, expert_ids=("elsewhere-7",))
+    encoder = Encoder(reference.extractor, reference.embedder, card)
+    file = run_folder / "encoders" / "from-elsewhere.safetensors"
+    export_encoder(encoder, file, (expert,), pictures(91, 2))
+    try:
+        assert camera.set_encoder("from-elsewhere") == (True, "")
+    finally:
+        file.unlink()
+    msg = camera.embedding(camera.show(pictures(92, 1)[0]))
+    assert msg.version == camera.infos[-1].version == encoder.info.version
+    (brought,) = conversions.experts_from_ros(camera.experts[-1]).experts
+    assert brought.episode_id == "elsewhere-7"
+    np.testing.assert_array_equal(brought.values, expert.values)
+    assert camera.set_encoder("imagenet") == (True, "")
 
 
 def test_a_swap_changes_version_and_experts_between_two_pictures_and_survives_a_kill(

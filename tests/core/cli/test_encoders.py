@@ -22,7 +22,7 @@ from rapl_core.representations.exported import export_encoder, load_exported
 from rapl_core.representations.methods import method_names
 from rapl_core.types import Episode, Ranking
 
-STEPS, SIZE, VIDEOS, RANKED, RANKINGS = 5, 32, 18, 14, 12
+STEPS, SIZE, VIDEOS, RANKED, RANKINGS = 4, 32, 18, 14, 12
 
 
 def episode(number: int, has_truth: bool = True, purpose: str = "demonstrate") -> Episode:
