@@ -25,11 +25,13 @@ from rapl_core.types import Episode, Ranking
 STEPS, SIZE, VIDEOS, RANKED, RANKINGS = 4, 32, 18, 14, 12
 
 
-def episode(number: int, has_truth: bool = True, purpose: str = "demonstrate") -> Episode:
+def episode(
+    number: int, has_truth: bool = True, purpose: str = "demonstrate", steps: int = STEPS
+) -> Episode:
     """A bright square that goes the farther the greater its number."""
     rng = np.random.default_rng(number)
-    way = np.linspace(0, 24 * (number + 1) / VIDEOS, STEPS + 1) + rng.uniform(0, 1, STEPS + 1)
-    frames = np.full((STEPS + 1, SIZE, SIZE, 3), 40, np.uint8)
+    way = np.linspace(0, 24 * (number + 1) / VIDEOS, steps + 1) + rng.uniform(0, 1, steps + 1)
+    frames = np.full((steps + 1, SIZE, SIZE, 3), 40, np.uint8)
     for t, x in enumerate(way.astype(int)):
         frames[t, 10:18, x : x + 8] = (220, 60, 60)
     return Episode(
@@ -39,20 +41,20 @@ def episode(number: int, has_truth: bool = True, purpose: str = "demonstrate") -
         purpose=purpose,
         controller="demonstrator",
         frames=frames,
-        states=np.zeros((STEPS + 1, 18)),
-        actions=np.zeros((STEPS, 2)),
-        stamps_ns=np.arange(STEPS + 1) + 1,
+        states=np.zeros((steps + 1, 18)),
+        actions=np.zeros((steps, 2)),
+        stamps_ns=np.arange(steps + 1) + 1,
         human_rewards=way - 24 if has_truth else None,
         success=number > 15 if has_truth else None,
         behaviour="mime" if number % 3 == 0 else "together_from_behind",
     )
 
 
-def make_run(folder: Path, has_truth: bool = True) -> Path:
+def make_run(folder: Path, has_truth: bool = True, steps: int = STEPS) -> Path:
     """The last videos are in no ranking."""
     store = EpisodeStore(folder / "episodes")
     for number in range(VIDEOS):
-        store.add(episode(number, has_truth))
+        store.add(episode(number, has_truth, steps=steps))
     rng = np.random.default_rng(0)
     with RankingStore(folder / "rankings.sqlite") as rankings:
         for number in range(RANKINGS):
@@ -260,8 +262,9 @@ def test_an_export_that_reads_back_otherwise_is_not_written(run: Path, tmp_path:
 
 
 def test_a_backbone_that_was_trained_or_given_here_goes_along(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    run = make_run(tmp_path / "short", steps=2)  # R3M sees large pictures
     assert call("train", run, "--method", "mae_scratch") == 0
     r3m_file(tmp_path / "r3m_resnet18.pt")
     assert call("train", run, "--method", "r3m") == 1
