@@ -147,13 +147,22 @@ class Study:
 
         :raises WeightsError: if the backbone's weights are not to be had.
         """
+        made = self.make(method, preset)
+        key = what_matters(method, self.preset_for(method, preset))
+        if key not in self._judged:
+            self._judged[key] = self._judge(made)
+        return made, self._judged[key]
+
+    def make(self, method: Method, preset: Preset) -> Made:
+        """An encoder without its measures.
+
+        :raises WeightsError: if the backbone's weights are not to be had.
+        """
         preset = self.preset_for(method, preset)
         key = what_matters(method, preset)
         if key not in self._made:
             self._made[key] = self._make(method, preset)
-        if key not in self._judged:
-            self._judged[key] = self._judge(self._made[key])
-        return self._made[key], self._judged[key]
+        return self._made[key]
 
     def truth(self) -> dict[str, Any]:
         """The measures of r* itself."""
