@@ -1,6 +1,8 @@
 """Attention maps: their mean over places is the embedding; who has none is told so."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from rapl_core.representations.heads import Embedder, linear_head
 from rapl_core.representations.preprocessing import Preprocessing
 from rapl_core.representations.presets import AUTHORS_CODE, PAPER, TUNED
 from rapl_core.representations.projection import Projection
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -141,3 +145,22 @@ def test_the_overlay_lies_where_the_network_looked():
     cut = Preprocessing(224, 224, shorter_side=256)
     left, right, bottom, top = seen_part(cut, 128, 160)
     assert (right - left, bottom - top) == (112, 112) and (left, top) == (24, 8)
+
+
+def test_the_notes_say_what_the_study_found():
+    results = ROOT / "experiments" / "rewards" / "results"
+    found = json.loads((results / "attention.json").read_text())
+    notes = (ROOT / "docs" / "paper_notes.md").read_text()
+    said = notes[notes.index("(`experiments/rewards/results/attention.png`") :].split("\n**", 1)[0]
+    alike, turned = found["correlation"], found["correlation_when_turned"]
+    for words in (
+        f"(correlation {short(alike['raw ImageNet, RAPL'])}; RLHF and raw",
+        f"{short(alike['raw ImageNet, RLHF'])}, RAPL and RLHF {short(alike['RLHF, RAPL'])})",
+        f"correlation of {short(turned['RAPL'])} (raw features {short(turned['raw ImageNet'])})",
+    ):
+        assert words in " ".join(said.split())
+
+
+def short(value):
+    """As the notes write shares: .57, -.12."""
+    return f"{value:.2f}".replace("0.", ".")
