@@ -56,6 +56,7 @@ SETTINGS = {
     "backbone": "network that the encoder is made on; empty: the one that the reward names",
     "weights": "its weights, a file or a folder; empty: where they are usually",
     "engine": "what computes its features: torch or openvino",
+    "trained": "what alignment trains: head or last_block",
     "demonstrations": "preferred demonstrations, for tcc and tcc_ot",
     "preset": "settings of the representation learning: tuned, paper or authors_code",
     "human": "who ranks: simulated, or people on the page (web)",

@@ -62,6 +62,7 @@ NODES: tuple[NodeEntry, ...] = (
             "shared_share",
             "backbone",
             "weights",
+            "trained",
             "tcc_iterations",
             "masked_iterations",
             "strategy",
@@ -139,6 +140,7 @@ def run_parameters(
         # Unless given it is left to the node: an encoder that restarts takes up its own again.
         **({"weights": str(Path(config.weights).resolve())} if config.weights else {}),
         "engine": config.engine,
+        "trained": config.trained,
         "tcc_iterations": config.tcc_iterations,
         "masked_iterations": config.masked_iterations,
         "strategy": config.query_strategy,

@@ -20,6 +20,7 @@ from rapl_ros.settings import (
     PRESETS,
     RANGES,
     REWARDS,
+    TRAINED,
     check_name,
     checked,
     continued,
@@ -188,6 +189,12 @@ def _add_learning(parser: _Parser, default: RunConfig) -> None:
         metavar="NAME",
         help=f"what computes its features: {' | '.join(ENGINES)} ({default.engine})",
     )
+    parser.add_argument(
+        "--trained",
+        metavar="NAME",
+        help=f"what alignment trains: {' | '.join(TRAINED)}; the block takes minutes, and the "
+        "robot learns without alignments in between (head)",
+    )
     _add_number(parser, "steps", f"world steps of learning ({default.steps})")
     _add_number(parser, "worlds", f"worlds simulated side by side ({default.worlds})")
     _add_number(parser, "seed", "of everything random (0)")
@@ -286,7 +293,9 @@ def _run_name(config: RunConfig) -> str:
     preset = f"-{config.preset}" if config.aligns else ""
     own = replace(config, online=None).online_alignments
     online = f"-online{config.online}" if config.online != own else ""
-    return f"{config.reward}{preset}{online}-seed{config.seed}{'-quick' if config.quick else ''}"
+    trained = f"-{config.trained}" if config.trained != "head" else ""
+    kind = f"{config.reward}{preset}{trained}{online}"
+    return f"{kind}-seed{config.seed}{'-quick' if config.quick else ''}"
 
 
 def _free_folder(folder: Path) -> Path:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from rapl_core.preferences import DeskConfig
 from rapl_core.preferences.people import PeopleConfig
+from rapl_core.representations.methods import Trained
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,10 @@ class PreferenceConfig(DeskConfig, PeopleConfig):
     weights: str = ""
     """File with its weights, or a folder that holds it as <backbone>.pt; empty: where they are by
     default."""
+    trained: Trained = "head"
+    """What alignment trains: the last layer (the paper), or the backbone's last block with it,
+    which takes minutes where a layer takes seconds. Of rapl, rlhf, tcc and tcc_ot; nothing else has
+    the choice."""
     tcc_iterations: int = field(default=4000, metadata={"minimum": 1, "maximum": 1_000_000})
     """Of tcc and tcc_ot."""
     masked_iterations: int = field(default=1500, metadata={"minimum": 1, "maximum": 1_000_000})

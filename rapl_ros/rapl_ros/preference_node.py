@@ -373,7 +373,8 @@ class PreferenceNode(RaplNode):
             people=people,
             backbone=config.backbone,
             weights=Path(config.weights) if config.weights else None,
-            tcc=TccConfig(iterations=config.tcc_iterations),
+            trained=config.trained,
+            tcc=TccConfig(iterations=config.tcc_iterations, trained=config.trained),
             masked=MaskedConfig(iterations=config.masked_iterations),
         )
 

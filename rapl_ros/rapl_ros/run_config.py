@@ -19,6 +19,8 @@ CONFIG_FILE = "config.yaml"
 RESULTS_FILE = "results.json"
 WEB_ADDRESS_FILE = "web_address"
 """Where the page is while it runs, its token included."""
+_ALIGNED = ("rankings", "demonstrations")
+"""Lessons of methods whose head is trained."""
 PROBE_BYTES = 64 * 1024
 """Written and removed before a run begins: an empty file can be made on a full disk too."""
 
@@ -46,6 +48,8 @@ class RunConfig:
     """File with that network's weights, or a folder that holds it as <backbone>.pt."""
     engine: str = "torch"
     """What computes the features that the robot is rewarded by: torch, or openvino."""
+    trained: str = "head"
+    """What alignment trains: the last layer, or the backbone's last block with it."""
     tcc_iterations: int = 4_000
     masked_iterations: int = 1_500
     """Of mae_scratch and mvp_finetuned."""
@@ -101,7 +105,7 @@ class RunConfig:
         if self.online is not None:
             return self.online
         wanted = online_alignments(self.preset)
-        is_apt = self._gains_by_rankings and self.groups == 1
+        is_apt = self._gains_by_rankings and self.groups == 1 and self.trained == "head"
         return wanted if is_apt and online_share(self.triplets, wanted) else 0
 
     @property
@@ -148,6 +152,11 @@ class RunConfig:
                 f"--online with --groups {self.groups}: from one alignment to the next another "
                 "group could be the largest, and the robot would learn what it wants"
             )
+        if self.trained != "head":
+            raise RaplError(
+                f"--online with --trained {self.trained}: each alignment would make another "
+                "backbone, and all that the robot has seen would go through it again; expected 0"
+            )
         if self._gains_by_rankings:
             return
         encoder = f" with encoder '{self.encoder}'" if self.encoder else ""
@@ -157,10 +166,22 @@ class RunConfig:
             f"learns nothing from them; rewards that do: {', '.join(known)}"
         )
 
+    def check_trained(self) -> None:
+        """
+        :raises RaplError: if more than a head is to learn in an encoder that has none to learn.
+        """
+        if self.trained == "head" or self.aligns:
+            return
+        known = [n for n in method_names() if get_method(n).lesson in _ALIGNED]
+        raise RaplError(
+            f"--trained {self.trained} says what alignment trains, and reward '{self.reward}' has "
+            f"no head to train; rewards that have: {', '.join(known)}"
+        )
+
     @property
     def aligns(self) -> bool:
         """True when an encoder's head is trained, as the preset says."""
-        return self._lesson in ("rankings", "demonstrations")
+        return self._lesson in _ALIGNED
 
     @property
     def uses_demonstrations(self) -> bool:

@@ -10,6 +10,7 @@ from rapl_core.errors import RaplError, UnknownNameError
 from rapl_core.preferences.simulated_human import knobs_from
 from rapl_core.preferences.strategies import STRATEGIES
 from rapl_core.preferences.wishes import persons_from
+from rapl_core.representations.methods import Trained
 from rapl_core.types import Noise
 from rapl_ros.run_config import RunConfig
 
@@ -37,6 +38,7 @@ HUMANS = {
 }
 NEVER_FOR_LEARNING = {"supervised_probe"}
 NOISES = get_args(Noise)
+TRAINED = get_args(Trained)
 PRESETS = {
     "tuned": "our best settings, which depart from the paper where docs/paper_notes.md says so",
     "paper": "the paper's text; what it leaves open is in docs/paper_notes.md",
@@ -92,6 +94,8 @@ def checked(config: RunConfig, tasks: Sequence[str]) -> RunConfig:
     check_name(config.engine, "inference engine", ENGINES)
     if config.engine == "openvino" and importlib.util.find_spec("openvino") is None:
         raise RaplError("--engine openvino needs the Python package openvino: not installed here")
+    check_name(config.trained, "part to train", TRAINED)
+    config.check_trained()
     config.check_online()
     check_name(config.query_strategy, "query strategy", STRATEGIES)
     check_name(config.noise, "treatment of noise", NOISES)

@@ -65,6 +65,14 @@ def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_prese
     assert ask(tmp_path, "franka_group", "--triplets", "12").config.online == 0, "none to spare"
 
 
+def test_a_block_that_learns_too_leaves_out_alignments_while_the_robot_learns(
+    tmp_path: Path,
+) -> None:
+    request = ask(tmp_path, "franka_group", "--trained", "last_block", "--reward", "rlhf")
+    assert (request.config.trained, request.config.online) == ("last_block", 0)
+    assert request.folder.name == "rlhf-tuned-last_block-seed0"
+
+
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
@@ -91,6 +99,15 @@ def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_prese
         (["franka_group", "--online", "9", "--triplets", "9"], ["of 0 rankings each"]),
         (["franka_group", "--online", "2", "--groups", "2"], ["--groups 2", "another group"]),
         (["franka_group", "--online-triplets", "9", "--reward", "imagenet"], ["keeps no rankings"]),
+        (["franka_group", "--trained", "all"], ["part to train 'all'", "head, last_block"]),
+        (
+            ["franka_group", "--trained", "last_block", "--reward", "imagenet"],
+            ["'imagenet' has no head", "rapl, rlhf, tcc, tcc_ot"],
+        ),
+        (
+            ["franka_group", "--trained", "last_block", "--online", "2"],
+            ["--online with --trained last_block", "another backbone"],
+        ),
         (["franka_group", "--strategy", "own"], ["unknown query strategy 'own'", "uniform"]),
         (["--resume"], ["needs a run folder or a task"]),
         (["franka_group", "--resume"], ["no unfinished run of franka_group"]),

@@ -7,10 +7,11 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from rapl_core.cli.progress import Progress
 from rapl_core.errors import CorruptFileError
+from rapl_core.representations.methods import Trained
 
 if TYPE_CHECKING:
     from rapl_core.representations.alignment_job import AlignmentOrder
@@ -81,6 +82,11 @@ def _add_train(verbs: Any) -> None:
     )
     train.add_argument("--backbone", metavar="NAME", help="network to read (the method's own)")
     train.add_argument("--weights", type=Path, metavar="PATH", help=_WEIGHTS_HELP)
+    train.add_argument(
+        "--trained",
+        choices=get_args(Trained),
+        help="the last layer, or the backbone's last block with it, which takes longer (the run's)",
+    )
     train.set_defaults(work=_train)
 
 
@@ -152,6 +158,7 @@ def _order(run: Path, arguments: argparse.Namespace) -> "AlignmentOrder":
     if weights is not None and not (is_the_runs or weights.is_dir()):
         weights = None  # a file is of the run's own network; a folder may have any
     seed = settings.get("seed", 0) if arguments.seed is None else arguments.seed
+    trained = arguments.trained or node.get("trained") or "head"
     return AlignmentOrder(
         run_folder=run,
         method=arguments.method,
@@ -161,7 +168,10 @@ def _order(run: Path, arguments: argparse.Namespace) -> "AlignmentOrder":
         people=PeopleConfig(**given),
         backbone=arguments.backbone or backbone,
         weights=arguments.weights or weights,
-        tcc=TccConfig(iterations=int(node.get("tcc_iterations", TccConfig.iterations))),
+        trained=trained,
+        tcc=TccConfig(
+            iterations=int(node.get("tcc_iterations", TccConfig.iterations)), trained=trained
+        ),
         masked=MaskedConfig(iterations=int(node.get("masked_iterations", MaskedConfig.iterations))),
     )
 

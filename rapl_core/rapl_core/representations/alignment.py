@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -124,7 +124,9 @@ def fit_embedder(
     head = linear_head(projection.dimension if projection else width, dimension, rng)
     inferred = inferred_triplets(split.train, round(preset.inferred * len(split.train)), rng)
     taught = replace(split, train=(*split.train, *inferred))
-    data = _training_data(features, projection, lesson, taught, preset)
+    names = used_videos(taught, lesson, _has_twins(features, preset))
+    videos = {name: project(projection, features[name]) for name in names}
+    data = training_data(videos, lesson, taught, preset)
     history = train_head(head, objective, data, preset, rng, on_epoch)
     explained = projection.explained if projection else 1.0
     return Fit(Embedder(projection, head), split, history, statistics_videos, explained)
@@ -139,14 +141,20 @@ def build_encoder(
     reward_kind: RewardKind,
     rng: np.random.Generator,
     started: float,
+    has_own_backbone: bool = False,
 ) -> tuple[Encoder, AlignmentReport]:
     """Put the backbone in front of a fit, find the reward's scale, and report.
 
     :param started: ``time.monotonic()`` when the alignment began.
+    :param has_own_backbone: whether the backbone was trained here and belongs into a checkpoint.
     """
     extractor = features.extractor
     card = card_for(method, extractor, fit.embedder, preset, reward_kind, lesson.expert_ids)
-    card = replace(card, data_sha256=lesson.sha256(extractor.version))
+    card = replace(
+        card,
+        data_sha256=lesson.sha256(extractor.version),
+        has_own_backbone=has_own_backbone,
+    )
     embeddings = {name: fit.embed(features[name]) for name in fit.statistics_videos}
     card = with_reward_scale(card, embeddings, rng)
     best = fit.history.epochs[fit.history.best_epoch - 1] if fit.history.best_epoch else None
@@ -255,24 +263,36 @@ def project(projection: Projection | None, video: NDArray[np.float32]) -> NDArra
         return np.asarray(projection(torch.from_numpy(video)).numpy())
 
 
-def _training_data(
-    features: Features,
-    projection: Projection | None,
-    lesson: Lesson,
-    split: TripletSplit,
-    preset: Preset,
+def training_data(
+    videos: Mapping[str, NDArray[Any]], lesson: Lesson, split: TripletSplit, preset: Preset
 ) -> TrainingData:
-    """Projected videos; of what is learnt from also the mirrored twins, where there are any."""
+    """The triplets of a split over what a head takes of each video.
+
+    :param videos: (T, ...) of :func:`used_videos`; what is learnt from also mirrored, where the
+        preset wants it and there are mirrored twins.
+    """
     train, ties, experts = list(split.train), list(lesson.ties), list(lesson.expert_ids)
-    if preset.mirror and any(name.startswith(MIRRORED) for name in features):
+    if _has_twins(videos, preset):
         train += [_twin(triplet, ("best", "middle", "worst")) for triplet in split.train]
         ties += [_twin(tie, ("best", "first", "second")) for tie in lesson.ties]
         experts += [MIRRORED + name for name in lesson.expert_ids]
-    used = _named((*train, *split.held_out), replace(lesson, ties=ties, expert_ids=experts))
-    videos = {name: project(projection, features[name]) for name in used}
     return TrainingData(
         videos, train, split.held_out, experts, ties, preset.frames, preset.expert_from
     )
+
+
+def used_videos(split: TripletSplit, lesson: Lesson, with_twins: bool = False) -> list[str]:
+    """Names of the videos that a training refers to, in order.
+
+    :param with_twins: also of the mirrored twins of those that are learnt from.
+    """
+    learnt = _named(split.train, lesson)
+    twins = {MIRRORED + name for name in learnt} if with_twins else set()
+    return sorted(learnt | twins | _named(split.held_out, lesson))
+
+
+def _has_twins(videos: Mapping[str, Any], preset: Preset) -> bool:
+    return preset.mirror and any(name.startswith(MIRRORED) for name in videos)
 
 
 def _twin(ranked: Ranked, names: Sequence[str]) -> Ranked:

@@ -23,13 +23,15 @@ from rapl_core.preferences.people import (
     study_people,
 )
 from rapl_core.preferences.video_features import summarise
+from rapl_core.representations.alignment import Lesson
 from rapl_core.representations.checkpoints import checkpoint_folder, save_encoder
 from rapl_core.representations.encoder import Encoder
 from rapl_core.representations.extractor import FeatureRecipe, Precision, make_extractor
 from rapl_core.representations.features import MIRRORED, FeatureStore, find_parts
 from rapl_core.representations.masked import MaskedConfig
-from rapl_core.representations.methods import DEFAULT_BACKBONE, get_method
+from rapl_core.representations.methods import DEFAULT_BACKBONE, Trained, get_method
 from rapl_core.representations.presets import Preset, get_preset
+from rapl_core.representations.ranking_block import BlockConfig, learn_block
 from rapl_core.representations.rapl import align
 from rapl_core.representations.report import AlignmentReport
 from rapl_core.representations.rlhf import learn_reward
@@ -64,6 +66,9 @@ class AlignmentOrder:
     """Network that features are read from; empty: the one that the method names."""
     weights: Path | None = None
     """Its weights, a file or a folder; None: the default place."""
+    trained: Trained = "head"
+    """What learns from rankings; for what learns from demonstrations see ``tcc``."""
+    block: BlockConfig = field(default_factory=BlockConfig)
     tcc: TccConfig = field(default_factory=TccConfig)
     masked: MaskedConfig = field(default_factory=MaskedConfig)
 
@@ -170,13 +175,7 @@ def _learn(
         product = workshop.make(experts, rng)
         encoder, report = product.encoder, product.report or {"method": order.method}
     else:
-        if order.method == "rlhf":
-            encoder, learnt = learn_reward(
-                features, lesson.triplets, experts, preset, rng, on_epoch
-            )
-        else:
-            ties = tied_triplets(lesson.rankings)
-            encoder, learnt = align(features, lesson.triplets, experts, preset, rng, on_epoch, ties)
+        encoder, learnt = _learn_from_rankings(order, lesson, features, preset, rng, on_epoch)
         report = learnt.to_json()
     folder = checkpoint_folder(order.run_folder, encoder)
     save_encoder(encoder, folder, {**report, LEARNT_FROM: _sources(lesson)})
@@ -197,6 +196,28 @@ def _sources(lesson: GroupLesson) -> dict[str, Any]:
         "rankings": [ranking.ranking_id for ranking in lesson.rankings],
         "videos": sorted({name for r in lesson.rankings for name in r.episode_ids}),
     }
+
+
+def _learn_from_rankings(
+    order: AlignmentOrder,
+    lesson: GroupLesson,
+    features: FeatureStore,
+    preset: Preset,
+    rng: np.random.Generator,
+    on_epoch: Callable[[EpochProgress], None],
+) -> tuple[Encoder, AlignmentReport]:
+    triplets, experts = lesson.triplets, lesson.expert_ids
+    ties = tied_triplets(lesson.rankings) if order.method == "rapl" else []
+    if order.trained == "last_block":
+        episodes = EpisodeStore(order.run_folder / "episodes")
+        return learn_block(
+            order.method, features, lambda name: episodes.frames(name)[1:],
+            Lesson(triplets, experts, ties), preset, order.block, rng,
+            order.run_folder / "backbones", order.weights, on_epoch,
+        )  # fmt: skip
+    if order.method == "rlhf":
+        return learn_reward(features, triplets, experts, preset, rng, on_epoch)
+    return align(features, triplets, experts, preset, rng, on_epoch, ties)
 
 
 def _write_findings(folder: Path, people: PeopleFindings, outcomes: Sequence[GroupOutcome]) -> None:

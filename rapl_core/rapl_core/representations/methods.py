@@ -15,6 +15,10 @@ Lesson = Literal["rankings", "demonstrations", "frames", "truth", "nothing"]
 """What a method learns from: rankings of videos; preferred demonstrations without rankings; the
 videos' pictures alone; the human's own reward (a ceiling, never for learning); nothing here."""
 
+Trained = Literal["head", "last_block"]
+"""What learns: the last linear layer, on features that are computed once (the paper); or the
+backbone's last block with it."""
+
 
 @dataclass(frozen=True)
 class Method:

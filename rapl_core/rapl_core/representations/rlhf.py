@@ -76,9 +76,14 @@ def fit_rlhf(
 ) -> Fit:
     """RLHF on any per-video features (T, F); see :func:`learn_reward`."""
     fit = fit_embedder(features, lesson, RlhfObjective(preset.noise), 1, preset, rng, on_epoch)
+    zero_at_experts(fit, features, lesson)
+    return fit
+
+
+def zero_at_experts(fit: Fit, features: Features, lesson: Lesson) -> None:
+    """Shift the head so that the mean reward over the experts' frames is zero."""
     expert_frames = np.concatenate([fit.embed(features[name]) for name in lesson.expert_ids])
     head = fit.embedder.head
     if head is not None:
         with torch.no_grad():
             head.bias.sub_(float(expert_frames.mean()))
-    return fit

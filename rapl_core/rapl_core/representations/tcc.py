@@ -24,13 +24,12 @@ from rapl_core.representations.augmentation import Augmentation
 from rapl_core.representations.encoder import Encoder
 from rapl_core.representations.features import MIRRORED, FeatureStore
 from rapl_core.representations.heads import Embedder, linear_head
-from rapl_core.representations.methods import get_method
+from rapl_core.representations.methods import Trained, get_method
 from rapl_core.representations.presets import Preset
 from rapl_core.representations.tcc_loss import TccLossConfig, tcc_loss
 from rapl_core.representations.training import EpochProgress, Features
 
 Sampling = Literal["uniform", "even"]
-Trained = Literal["head", "last_block"]
 
 VIEW_MARK = "-view"
 """``<id>-view<i>`` names a changed copy of a video among features."""

@@ -12,12 +12,14 @@ from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import nn
 
-from rapl_core.errors import CorruptFileError
+from rapl_core.errors import CorruptFileError, UnknownNameError
 from rapl_core.representations.backbone_spec import Stage
 from rapl_core.representations.backbones import load_network, stage_index, stage_maps
 from rapl_core.representations.extractor import FeatureExtractor, make_extractor
 from rapl_core.representations.preprocessing import preprocess
 from rapl_core.representations.weights import file_sha256
+
+_BATCH = 64
 
 
 class TrainableBackbone(nn.Module):
@@ -30,17 +32,25 @@ class TrainableBackbone(nn.Module):
         """
         :param start: what the features are read as before training; its parts are kept.
         :param weights: those of ``start``.
-        :raises UnknownNameError, WeightsError: from loading the backbone.
+        :raises UnknownNameError, WeightsError: from loading the backbone, or if nothing in it is
+            to be trained for this recipe.
         """
         super().__init__()
         name, recipe = start.backbone.spec.name, start.recipe
         self.spec, self.network, _ = load_network(name, weights)
         self.recipe, self.preprocessing = recipe, start.preprocessing
         self.pools = start.pools
+        self._is_chain: bool | None = None
         self._indices = [stage_index(self.network, name, s) for s in recipe.stages if s != "final"]
         self.network.requires_grad_(False)
-        for module in last_block(self.network, name, recipe.stages):
+        self._block = last_block(self.network, name, recipe.stages)
+        for module in self._block:
             module.requires_grad_(True)
+        if not self.free_parameters():
+            raise UnknownNameError(
+                f"stage of {name} that ends with a block to train", " and ".join(recipe.stages),
+                {f"stride{info['reduction']}" for info in self.network.feature_info[1:]},
+            )  # fmt: skip
         self.train(False)
 
     def train(self, mode: bool = True) -> "TrainableBackbone":
@@ -58,6 +68,53 @@ class TrainableBackbone(nn.Module):
         maps = stage_maps(self.network, self.spec, self.recipe.stages, self._indices, x)
         of_stages = (m for m in maps for _ in self.recipe.poolings)
         return torch.cat([pool(m) for pool, m in zip(self.pools, of_stages, strict=True)], dim=1)
+
+    def trunk(self, frames: NDArray[np.uint8]) -> NDArray[Any]:
+        """Return what the trained block starts from, to be computed once a picture.
+
+        :param frames: (N, H, W, 3) uint8.
+        :return: (N, C, h, w) float32, the maps before the block; or the pictures themselves, where
+            the maps take more room than the backbone's input has bytes or the network is no chain
+            of modules from there on (several stages, tokens).
+        """
+        if self._is_chain is None:
+            self._is_chain = self._check_chain(frames[:1])
+        if not self._is_chain:
+            return frames
+        parts = [self._before(frames[i : i + _BATCH]) for i in range(0, len(frames), _BATCH)]
+        return np.asarray(torch.cat(parts).numpy())
+
+    def tail(self, start: torch.Tensor) -> torch.Tensor:
+        """Features (N, F) of what :meth:`trunk` gave; the same as those of the pictures."""
+        if not self._is_chain:
+            return self(start.numpy())  # type: ignore[no-any-return]
+        for module in self._block:
+            start = module(start)
+        return torch.cat([pool(start) for pool in self.pools], dim=1)
+
+    def _before(self, frames: NDArray[np.uint8]) -> torch.Tensor:
+        """The input of the block."""
+        kept: list[torch.Tensor] = []
+        hook = self._block[0].register_forward_pre_hook(lambda _, given: kept.append(given[0]))
+        try:
+            with torch.no_grad():
+                self(frames)
+        finally:
+            hook.remove()
+        return kept[0]
+
+    def _check_chain(self, frames: NDArray[np.uint8]) -> bool:
+        """Whether block and poolings alone give the features, from less than the pictures."""
+        if len(self.recipe.stages) > 1:
+            return False
+        start = self._before(frames)
+        of_input = 3 * self.preprocessing.height * self.preprocessing.width  # bytes
+        if start.ndim != 4 or start.nbytes > of_input:
+            return False
+        self._is_chain = True
+        with torch.no_grad():
+            again, whole = self.tail(start), self(frames)
+        return again.shape == whole.shape and torch.allclose(again, whole, atol=1e-5)
 
     def trained(self, folder: Path) -> FeatureExtractor:
         """Write the whole network and read it as the frozen part of an encoder."""

@@ -4,7 +4,7 @@ import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ SLOW_PAIRS = 768
 """Pairs of frames of any video a batch."""
 
 Features = Mapping[str, NDArray[np.float32]]
+"""(T, F) by the video's name."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class TrainingData:
 
     def __init__(
         self,
-        videos: Features,
+        videos: Mapping[str, NDArray[Any]],
         train: Sequence[Triplet],
         held_out: Sequence[Triplet],
         expert_ids: Sequence[str],
@@ -97,7 +98,8 @@ class TrainingData:
         expert_from: float = 0.0,
     ) -> None:
         """
-        :param videos: (T, K) projected features of every video that is referred to.
+        :param videos: (T, K) projected features of every video that is referred to, or of any
+            other shape (T, ...) that the head takes.
         :param frames: resample to this many frames; None: to the shortest video's.
         :param expert_from: share of the expert videos that is passed over.
         """
@@ -170,21 +172,33 @@ def train_head(
     preset: Preset,
     rng: np.random.Generator,
     on_epoch: Callable[[EpochProgress], None] | None = None,
+    groups: Sequence[dict[str, Any]] | None = None,
+    slow_pairs: int = SLOW_PAIRS,
+    goes_on: bool = False,
 ) -> History:
     """Train ``head`` in place and leave it at its best epoch.
 
     :param on_epoch: called after every epoch; what it raises ends the training.
+    :param groups: parameters to train with what differs from the preset's optimiser; None: all.
+    :param slow_pairs: pairs of frames a batch for the preset's slowness.
+    :param goes_on: whether the head has learnt already: if no epoch is better than it is now, it
+        is left as it is, at best epoch 0.
     :raises ConvergenceError: if the loss becomes NaN or infinite.
     """
     kind = torch.optim.AdamW if preset.optimiser == "adamw" else torch.optim.Adam
     optimiser = kind(
-        head.parameters(), preset.learning_rate, weight_decay=preset.weight_decay, fused=True
+        [{"params": head.parameters()}] if groups is None else list(groups),
+        preset.learning_rate,
+        weight_decay=preset.weight_decay,
+        fused=True,
     )
     epochs: list[EpochProgress] = []
     best, best_epoch, best_state = math.inf, 0, copy.deepcopy(head.state_dict())
+    if goes_on and len(data.held_out):
+        best = _held_out(head, objective, data)[0]
     for epoch in range(1, preset.epochs + 1):
         losses = []
-        for draw in _draws(data, preset, rng):
+        for draw in _draws(data, preset, rng, slow_pairs):
             optimiser.zero_grad()
             batch = data.batch(head, draw)
             loss = objective.loss(batch)
@@ -224,7 +238,9 @@ def slowness(z: torch.Tensor) -> torch.Tensor:
     return moved / spread.clamp_min(1e-6)
 
 
-def _draws(data: TrainingData, preset: Preset, rng: np.random.Generator) -> list[Draw]:
+def _draws(
+    data: TrainingData, preset: Preset, rng: np.random.Generator, slow_pairs: int
+) -> list[Draw]:
     """One epoch: every triplet once; ties, experts and cuts drawn anew for each batch."""
     count = len(data.train)
     longest = int(preset.longest_cut * data.length)
@@ -233,7 +249,7 @@ def _draws(data: TrainingData, preset: Preset, rng: np.random.Generator) -> list
         experts = rng.permutation(len(data.experts))[: preset.experts_per_batch]
         ties = rng.permutation(len(data.ties))[: len(rows)]
         start = int(rng.integers(longest + 1))
-        slow = data.slow(SLOW_PAIRS, preset.slow_lag, rng) if preset.slow_weight else None
+        slow = data.slow(slow_pairs, preset.slow_lag, rng) if preset.slow_weight else None
         chosen = (data.train[rows], data.train_mistakes[rows], data.experts[experts])
         draws.append(data.draw(*chosen, data.ties[ties], slow, start))
     return draws
@@ -261,7 +277,7 @@ def _mistakes(triplets: Sequence[Triplet]) -> NDArray[np.float32]:
     return np.array(rates, np.float32)
 
 
-def _resampled(video: NDArray[np.float32], length: int) -> torch.Tensor:
+def _resampled(video: NDArray[Any], length: int) -> torch.Tensor:
     if len(video) == length:
         return torch.from_numpy(video)
     return torch.from_numpy(video[np.linspace(0, len(video) - 1, length).round().astype(int)])
