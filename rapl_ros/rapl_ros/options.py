@@ -192,8 +192,8 @@ def _add_learning(parser: _Parser, default: RunConfig) -> None:
     parser.add_argument(
         "--trained",
         metavar="NAME",
-        help=f"what alignment trains: {' | '.join(TRAINED)}; the block takes minutes, and the "
-        "robot learns without alignments in between (head)",
+        help=f"what alignment trains: {' | '.join(TRAINED)}; the block takes minutes, with tcc an "
+        "hour, and the robot learns without alignments in between (head)",
     )
     _add_number(parser, "steps", f"world steps of learning ({default.steps})")
     _add_number(parser, "worlds", f"worlds simulated side by side ({default.worlds})")

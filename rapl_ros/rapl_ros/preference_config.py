@@ -43,8 +43,8 @@ class PreferenceConfig(DeskConfig, PeopleConfig):
     default."""
     trained: Trained = "head"
     """What alignment trains: the last layer (the paper), or the backbone's last block with it,
-    which takes minutes where a layer takes seconds. Of rapl, rlhf, tcc and tcc_ot; nothing else has
-    the choice."""
+    which takes minutes where a layer takes seconds, and of tcc and tcc_ot an hour. Of these and of
+    rapl and rlhf; nothing else has the choice."""
     tcc_iterations: int = field(default=4000, metadata={"minimum": 1, "maximum": 1_000_000})
     """Of tcc and tcc_ot."""
     masked_iterations: int = field(default=1500, metadata={"minimum": 1, "maximum": 1_000_000})
