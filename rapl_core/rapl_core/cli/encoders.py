@@ -158,7 +158,7 @@ def _order(run: Path, arguments: argparse.Namespace) -> "AlignmentOrder":
     if weights is not None and not (is_the_runs or weights.is_dir()):
         weights = None  # a file is of the run's own network; a folder may have any
     seed = settings.get("seed", 0) if arguments.seed is None else arguments.seed
-    trained = arguments.trained or node.get("trained") or "head"
+    trained: Trained = arguments.trained or node.get("trained", "head")
     return AlignmentOrder(
         run_folder=run,
         method=arguments.method,
