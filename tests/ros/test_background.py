@@ -72,6 +72,7 @@ def test_finish_has_one_deadline_for_all_it_waits_for(probe):
     assert not worker.finish(timeout_s=1.0)
     assert time.monotonic() - began_s < 1.4
     go_on.set()
+    assert worker.close(timeout_s=5)
 
 
 def test_close_drops_what_waits(probe):
