@@ -131,9 +131,7 @@ def _train(arguments: argparse.Namespace) -> None:
 
     print(f"{encoder_words.order(order)}, from {run}", file=sys.stderr)
     try:
-        done = run_alignment(
-            order, lambda n, all: progress.show("features of video", n, all), on_epoch
-        )
+        done = run_alignment(order, on_video, on_epoch)
     finally:
         progress.end()
     print(encoder_words.trained(done, order.method, time.monotonic() - began_s))
@@ -188,7 +186,7 @@ def _evaluate(arguments: argparse.Namespace) -> None:
     progress = Progress()
     try:
         found = measure_encoder(
-            run, encoder, report_of(encoder, run), lambda n, all: progress.show("video", n, all)
+            run, encoder, report_of(encoder, run), lambda n, of: progress.show("video", n, of)
         )
     finally:
         progress.end()
