@@ -22,6 +22,7 @@ from rapl_core.atomic import write_atomically
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RaplError, WeightsError
 from rapl_core.preferences import RankingStore, expert_set
+from rapl_core.preferences.store import RANKINGS_FILE
 from rapl_core.representations import Encoder, encoder_names, make_encoder
 from rapl_core.streaming.batching import BatchQueue
 from rapl_core.streaming.reward_rule import RewardRule
@@ -286,8 +287,7 @@ def load(choice: EncoderChoice, config: EncoderNodeConfig) -> EncoderAtWork:
     ids = encoder.expert_ids or _preferred(config)
     episodes = EpisodeStore(config.run_folder / "episodes")
     if config.engine != "torch":
-        here = [i for i in ids if i in episodes]  # an exported encoder may come without its videos
-        pictures = episodes.frames(here[0]) if here else None
+        pictures = episodes.first_of(ids)
         encoder.extractor.use_engine(config.engine, config.threads, pictures)
     _try_out(encoder)
     experts = encoder.experts or tuple(encoder.embed_expert(i, episodes.frames(i)) for i in ids)
@@ -304,7 +304,7 @@ def _try_out(encoder: Encoder) -> None:
 
 def _preferred(config: EncoderNodeConfig) -> list[str]:
     """The most preferred videos, by the rankings alone; none before there are rankings."""
-    path = config.run_folder / "rankings.sqlite"
+    path = config.run_folder / RANKINGS_FILE
     if not path.is_file():
         return []
     with RankingStore(path) as store:

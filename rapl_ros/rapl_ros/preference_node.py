@@ -27,6 +27,7 @@ from rapl_core.preferences.agreement import AgreementTable, agreement_table
 from rapl_core.preferences.own_videos import OWN, OWN_VIDEOS_FILE, OwnQueries, OwnVideos
 from rapl_core.preferences.people import PeopleConfig
 from rapl_core.preferences.progress import RankingProgress, measure_progress, needed
+from rapl_core.preferences.store import RANKINGS_FILE
 from rapl_core.preferences.strategies import STRATEGIES
 from rapl_core.types import Noise
 from rapl_ros import conversions, qos, topics
@@ -72,7 +73,7 @@ class PreferenceNode(RaplNode):
         self._settings = ConfigParameters(self, PreferenceConfig(), writable=WRITABLE)
         folder = self.config.run_folder
         self._episodes = EpisodeStore(folder / "episodes")
-        self._store = RankingStore(folder / "rankings.sqlite", self._episodes.__contains__)
+        self._store = RankingStore(folder / RANKINGS_FILE, self._episodes.__contains__)
         self._pool: set[str] = set()
         self._own = OwnVideos(folder / OWN_VIDEOS_FILE)
         self._expert_ids: list[str] | None = None

@@ -8,11 +8,12 @@ from typing import Any
 
 from rapl_core.analysis import measures
 from rapl_core.analysis.findings import MEASURED_VIDEOS, MIME, spread
-from rapl_core.analysis.record import EXPERTS, RANKINGS_FILE
+from rapl_core.analysis.record import EXPERTS
 from rapl_core.analysis.scoring import ScoredVideo, Scorer
 from rapl_core.episodes import EpisodeStore
 from rapl_core.errors import RefusedError
 from rapl_core.preferences import RankingStore, expert_set, triplets_from
+from rapl_core.preferences.store import RANKINGS_FILE
 from rapl_core.representations.alignment_job import LEARNT_FROM
 from rapl_core.representations.encoder import Encoder
 from rapl_core.representations.methods import get_method, method_names

@@ -13,11 +13,10 @@ from rapl_core.episodes import EpisodeStore
 from rapl_core.episodes.summary import EpisodeSummary
 from rapl_core.errors import CorruptFileError
 from rapl_core.preferences.expert_set import expert_set, strengths
-from rapl_core.preferences.store import RankingStore
+from rapl_core.preferences.store import RANKINGS_FILE, RankingStore
 from rapl_core.preferences.triplets import triplets_from
 from rapl_core.types import Ranking, Triplet
 
-RANKINGS_FILE = "rankings.sqlite"
 EPISODES_FOLDER = "episodes"
 EXPERTS = 10
 

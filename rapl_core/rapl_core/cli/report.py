@@ -35,7 +35,5 @@ def _report(arguments: argparse.Namespace) -> None:
         encoder = make_encoder(settings.get("encoder") or reward, run)
         if (engine := settings.get("engine", "torch")) != "torch":
             experts = encoder.expert_ids or record.expert_ids()
-            here = next((name for name in experts if name in record.store), None)
-            pictures = record.store.frames(here) if here else None
-            encoder.extractor.use_engine(engine, pictures=pictures)
+            encoder.extractor.use_engine(engine, pictures=record.store.first_of(experts))
     print(write_report(run, encoder, LearningCurve.load(oracle) if oracle else None))

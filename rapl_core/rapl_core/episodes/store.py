@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,14 @@ class EpisodeStore:
     def frames(self, episode_id: str) -> NDArray[np.uint8]:
         """Return the pictures (T + 1, H, W, 3) of an episode; errors as :meth:`load`."""
         return read_frames(self.path(episode_id))
+
+    def first_of(self, episode_ids: Iterable[str]) -> NDArray[np.uint8] | None:
+        """Return the pictures of the first of these that is here; None if none is.
+
+        An exported encoder may come without its expert videos.
+        """
+        here = next((name for name in episode_ids if name in self), None)
+        return self.frames(here) if here is not None else None
 
     def joints(self, episode_id: str) -> JointTrack | None:
         """Return the joints of an episode, None if not recorded; errors as :meth:`load`."""

@@ -11,11 +11,10 @@ from rapl_core.episodes.writing import TEMPORARY_PREFIX
 from rapl_core.errors import RankingError
 from rapl_core.preferences.exchange import export_jsonl, export_queries, read_jsonl
 from rapl_core.preferences.parquet import export_parquet, read_parquet
-from rapl_core.preferences.store import RankingStore
+from rapl_core.preferences.store import RANKINGS_FILE, RankingStore
 from rapl_core.types import Ranking
 
 Format = Literal["jsonl", "parquet"]
-RANKINGS_FILE = "rankings.sqlite"
 QUERIES_FILE = "queries.jsonl"
 EPISODES_FOLDER = "episodes"
 

@@ -19,6 +19,8 @@ from rapl_core.preferences.ranking_json import ranking_to_json
 from rapl_core.preferences.shared_file import SharedFile
 from rapl_core.types import Ranking
 
+RANKINGS_FILE = "rankings.sqlite"
+"""In the run folder."""
 UNDO_LEASE_S = 600.0
 
 

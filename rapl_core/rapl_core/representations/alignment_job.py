@@ -22,6 +22,7 @@ from rapl_core.preferences.people import (
     PeopleFindings,
     study_people,
 )
+from rapl_core.preferences.store import RANKINGS_FILE
 from rapl_core.preferences.video_features import summarise
 from rapl_core.representations.alignment import Lesson
 from rapl_core.representations.checkpoints import checkpoint_folder, save_encoder
@@ -40,7 +41,6 @@ from rapl_core.representations.training import EpochProgress, TiedTriplet
 from rapl_core.representations.workshop import Workshop, WorkshopConfig
 from rapl_core.types import Ranking
 
-RANKINGS_FILE = "rankings.sqlite"
 LEARNT_FROM = "learnt_from"
 """In a checkpoint's report: ``annotators``, ``rankings`` (ids) and the ``videos`` in them."""
 
