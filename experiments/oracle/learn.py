@@ -26,16 +26,23 @@ WINDOW = 3
 """Evaluations that a success rate in the table is the mean of."""
 
 
+CEILING = 0.97
+"""Mean over WINDOW evaluations that has no room left to rise."""
+
+
 def is_plateau(success: Sequence[float], patience: int, floor: float = 0.0) -> bool:
     """Return whether the mean over WINDOW evaluations has not risen for ``patience`` of them.
 
-    A curve that never left the ground has no plateau: learning may begin late.
+    Nor does it rise any more where the last is at the CEILING. A curve that never left the ground
+    has no plateau: learning may begin late.
 
     :param floor: what the best mean must be above.
     """
     means = [sum(success[end - WINDOW : end]) / WINDOW for end in range(WINDOW, len(success) + 1)]
     if not means:
         return False
+    if means[-1] >= CEILING:
+        return True
     best = means.index(max(means))
     return means[best] > floor and len(means) - 1 - best >= patience
 
