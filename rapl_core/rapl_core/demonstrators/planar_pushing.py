@@ -1,6 +1,6 @@
 """Ways of moving blocks in the X-MAGICAL arena, as sequences of skills."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -32,13 +32,15 @@ class Mover:
         self.half = task.config.block_half
         self.pace = float(rng.uniform(0.55, 0.8))
         body = task.body
+        self.is_wide = body.width > 0.5
+        """Covers more than one block."""
         self._reach = 0.39 if body.has_fingers else body.front
-        self._gap = 0.08 if body.width < 0.5 else 0.3
+        self._gap = 0.3 if self.is_wide else 0.08
         self._hold = 0.06 if body.has_fingers else 0.42 * min(body.width, 0.6)
         # past a long stick's ends there is no room: it drives with its side along
         across = max(body.width, 2 * self._reach) / 2
         self._clearance = self.half * 1.41 + min(across, 0.32) + ROOM
-        self.retreat = 3 if body.width < 0.5 else 5
+        self.retreat = 5 if self.is_wide else 3
         """Steps backwards after a push: room to turn."""
         self.goal_y = task.config.goal_near + self.half + float(rng.uniform(0.02, 0.07))
         """m where a block is pushed to."""
@@ -50,20 +52,25 @@ class Mover:
         target: Callable[[View], Point],
         done: Callable[[View], bool] | None = None,
         patience: int = 60,
+        aside: float = 0.0,
     ) -> Push:
-        """Push one block to a place."""
+        """Push one block to a place.
+
+        :param aside: m to the right of the robot's middle at which its front meets the block.
+        """
         return Push(
             (block,), target, self._reach, self._gap, self._hold, self.half, self._clearance,
-            self.pace, patience, self.grip, done,
+            self.pace, patience, self.grip, done, aside,
         )  # fmt: skip
 
-    def push_up(self, block: int, until: float | None = None) -> Push:
+    def push_up(self, block: int, until: float | None = None, aside: float = 0.0) -> Push:
         """Push one block straight up, by default into the strip."""
         end = self.goal_y if until is None else until
         return self.push(
             block,
             lambda view: np.array([view.blocks[block][0], end + 0.1]),
             lambda view: bool(view.blocks[block][1] >= end),
+            aside=aside,
         )
 
     def push_all_up(self, blocks: tuple[int, ...], until: float | None = None) -> Push:
@@ -140,12 +147,13 @@ def nothing(mover: Mover, state: State) -> list[Skill]:
 
 
 def planar_behaviours(
-    task: PlanarTask, rows: tuple[Row, ...], telling: tuple[str, str]
+    task: PlanarTask, rows: Sequence[Row], telling: tuple[str, str]
 ) -> tuple[Behaviour, ...]:
-    """Return behaviours from their rows.
+    """Return behaviours from their rows, with shares that add up to 1.
 
     :param telling: the preferred and the disliked one that stand for all.
     """
+    whole = sum(share for _, _, share, _ in rows)
     unit = (1.0, task.config.full_turn, 1.0)[: len(task.action_names)]
 
     def behaviour(name: str, plan: Plan, share: float, preferred: bool) -> Behaviour:
@@ -153,6 +161,6 @@ def planar_behaviours(
             return SkillFollower(task, plan(Mover(task, rng), state))
 
         wander = 1.0 if plan is nothing else 0.0
-        return Behaviour(name, begin, share, preferred, wander, name in telling, unit)
+        return Behaviour(name, begin, share / whole, preferred, wander, name in telling, unit)
 
     return tuple(behaviour(*row) for row in rows)

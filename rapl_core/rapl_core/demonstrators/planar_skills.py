@@ -163,6 +163,8 @@ class Push:
     patience: int = 60
     grip: bool = False
     done: Callable[[View], bool] | None = None
+    aside: float = 0.0
+    """m to the right of the robot's middle at which its front meets the blocks."""
     pushing: bool = False
     aim: float | None = None
 
@@ -178,7 +180,7 @@ class Push:
         aim = self.aim
         ahead = np.array([-np.sin(view.heading), np.cos(view.heading)])
         offset = middle - view.robot
-        forward, right = float(offset @ ahead), float(offset @ [ahead[1], -ahead[0]])
+        forward, right = float(offset @ ahead), float(offset @ [ahead[1], -ahead[0]]) - self.aside
         error = wrapped(aim - view.heading)
         standoff = self.reach + self.extent + self.gap
         slack = 1.4 if self.pushing else 1.0
@@ -192,7 +194,7 @@ class Push:
             speed = min(self.pace, 8 * length + 0.1) * max(0.3, np.cos(2 * error))
             return Command(speed, float(np.clip(turn, -0.2, 0.2)), 1.0 if self.grip else -1.0)
         back = np.array([np.sin(aim), -np.cos(aim)])
-        stand = middle + back * standoff
+        stand = middle + back * standoff - self.aside * np.array([np.cos(aim), np.sin(aim)])
         if np.hypot(*(stand - view.robot)) < NEAR + 0.01:
             if abs(error) < 0.12:
                 return Command(0.5, error)

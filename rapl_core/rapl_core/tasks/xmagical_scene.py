@@ -74,6 +74,8 @@ class PlanarConfig:
     """Starts."""
     block_spread: tuple[float, float] = (0.0, 0.0)
     """Half widths of the uniform start around each of them."""
+    mirrored: bool = False
+    """Blocks stand mirrored, left to right, in half of the starts."""
     robot: tuple[float, float] = (0.0, -0.6)
     robot_spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Half widths in x, y and heading."""

@@ -36,9 +36,12 @@ def play(name, behaviour, episodes):
         ("xmagical_avoid", "around_far"),
         ("xmagical_avoid", "around_wide"),
         ("xmagical_avoid_gripper", "around_near"),
+        ("xmagical_group", "together_straight"),
         ("xmagical_group", "together_side_by_side"),
         ("xmagical_group", "together_in_column"),
+        ("xmagical_group_gripper", "together_straight"),
         ("xmagical_group_mediumstick", "together_side_by_side"),
+        ("xmagical_group_longstick", "together_straight"),
         ("xmagical_progress", "one_at_a_time"),
         ("xmagical_sweep_shortstick", "sweep_all"),
         ("xmagical_sweep_longstick", "sweep_all"),
@@ -56,11 +59,12 @@ def test_through_the_zone_arrives_and_still_fails():
     assert np.mean([success for _, success in played]) <= 0.1
 
 
-def test_one_at_a_time_arrives_and_still_fails_for_want_of_grouping():
-    task = get_task("xmagical_group")
-    played = play("xmagical_group", "one_at_a_time", 12)
+@pytest.mark.parametrize("body", ["", "_mediumstick", "_gripper"])
+def test_one_at_a_time_arrives_and_mostly_fails_for_want_of_grouping(body):
+    task = get_task(f"xmagical_group{body}")
+    played = play(task.name, "one_at_a_time", 12)
     assert np.mean([task.in_goal(states)[-1].all() for states, _ in played]) >= 0.8
-    assert not any(success for _, success in played)
+    assert np.mean([success for _, success in played]) <= 0.2
 
 
 @pytest.mark.parametrize(("name", "mime"), [("xmagical_avoid", "mime_around"),

@@ -107,6 +107,16 @@ def test_success_in_grouping_wants_both_together_from_the_moment_one_enters():
     assert progress.success(ride(progress, [(robot, apart), (robot, one_in), (robot, inside)]))
 
 
+def test_blocks_to_be_grouped_start_apart_the_near_one_on_either_side():
+    task = get_task("xmagical_group")
+    starts = np.stack([task.draw_start(np.random.default_rng(s)).blocks for s in range(60)])
+    gaps = np.linalg.norm(starts[:, 0] - starts[:, 1], axis=1)
+    assert gaps.min() > task.gap_threshold
+    assert (starts[:, 0, 1] < starts[:, 1, 1]).all()
+    left = (starts[:, 0, 0] < starts[:, 1, 0]).mean()
+    assert 0.3 < left < 0.7
+
+
 def test_the_rewards_of_grouping_and_of_progress_are_the_papers():
     task, progress = get_task("xmagical_group"), get_task("xmagical_progress")
     way = [((0.0, -0.6, 0.0), [(-0.2, 0.0), (0.2, 0.3)])]
