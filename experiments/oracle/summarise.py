@@ -84,11 +84,9 @@ def picture(runs: dict[str, list[Run]], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main() -> None:
-    """Write table and picture."""
-    runs = load()
-    OUT.mkdir(parents=True, exist_ok=True)
-    text = (
+def page(runs: dict[str, list[Run]]) -> str:
+    """Return docs/results/oracle.md."""
+    return (
         "# What SAC reaches with the human's own reward\n\n"
         "Success is the mean of the last three evaluations of 50 episodes each; at most 200,000 "
         "world steps, stopped early at a plateau or at 97 %; franka_group 60,000 steps. Minutes "
@@ -99,9 +97,15 @@ def main() -> None:
         "`experiments/oracle/learn.py` makes a run, `experiments/oracle/summarise.py` this page; "
         "what was expected and what was chosen: [paper notes](../paper_notes.md).\n"
     )
-    (OUT / "oracle.md").write_text(text)
+
+
+def main() -> None:
+    """Write table and picture."""
+    runs = load()
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "oracle.md").write_text(page(runs))
     picture(runs, OUT / "oracle.png")
-    print(text)
+    print(table(runs))
 
 
 if __name__ == "__main__":

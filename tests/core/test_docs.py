@@ -244,12 +244,18 @@ def test_parameters_and_their_defaults_are_those_of_the_code(node: str) -> None:
     assert said == expected
 
 
-def test_the_table_of_results_is_what_the_results_files_say() -> None:
-    path = ROOT / "experiments" / "franka_group" / "summarise.py"
-    spec = importlib.util.spec_from_file_location("summarise", path)
+def script(name: str) -> ModuleType:
+    """A module of experiments/."""
+    path = ROOT / "experiments" / name
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec and spec.loader
-    summarise = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(summarise)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_table_of_results_is_what_the_results_files_say() -> None:
+    summarise = script("franka_group/summarise.py")
     text = README.read_text()
     assert all(text.count(mark) == 1 for mark in summarise.MARKS)
     runs = summarise.load()
@@ -257,3 +263,21 @@ def test_the_table_of_results_is_what_the_results_files_say() -> None:
         pytest.skip("there are no results files yet")
     written = text.split(summarise.MARKS[0])[1].split(summarise.MARKS[1])[0].strip()
     assert written == summarise.table(runs).strip()
+
+
+def test_the_page_of_the_oracle_is_what_its_results_files_say() -> None:
+    summarise = script("oracle/summarise.py")
+    runs = summarise.load()
+    assert set(summarise.PAPER) <= set(runs)
+    assert (ROOT / "docs" / "results" / "oracle.md").read_text() == summarise.page(runs)
+
+
+def test_the_oracle_stops_at_a_plateau_or_at_the_ceiling_and_never_on_the_ground() -> None:
+    stops = script("oracle/learn.py").is_plateau
+    assert not stops([0.0] * 30, 6)
+    assert not stops([0.0, 0.5], 6), "too few to have a mean"
+    rising = [0.1 * i for i in range(9)]
+    assert not stops(rising, 3)
+    assert not stops([*rising, 0.8, 0.8, 0.8], 3), "the mean has risen since"
+    assert stops([*rising, 0.6, 0.6, 0.6, 0.6], 3)
+    assert stops([0.0, 0.96, 0.98, 1.0], 6)

@@ -25,7 +25,7 @@ def planar_grouping_behaviours(task: GroupTask) -> tuple[Behaviour, ...]:
         ("random", nothing, 0.06, False),
     ]
     if task.body.width > LONG:
-        return planar_behaviours(task, rows, ("together_straight", "scatter"))
+        return planar_behaviours(task, rows, ("together_straight", "together_halfway"))
     rows += [
         ("together_side_by_side", together_side_by_side, 0.08, True),
         ("together_in_column", together_in_column, 0.07, True),
