@@ -94,10 +94,14 @@ def only_one(mover: Mover, state: State) -> list[Skill]:
 
 def alone(mover: Mover, state: State, block: int) -> Skill:
     """Bring one block to the strip past the other: a wide body pushes with its outer end."""
-    places = mover.task.blocks_of(state)
-    outwards = float(np.sign(places[block][0] - places[1 - block][0])) or 1.0
     free = mover.task.body.width / 2 - 0.06 if mover.is_wide else 0.0
-    return mover.push_up(block, aside=-outwards * free)
+    return mover.push_up(block, aside=-outwards(mover, state, block) * free)
+
+
+def outwards(mover: Mover, state: State, block: int) -> float:
+    """Return 1 where a block stands to the right of the other, else -1."""
+    across = mover.task.blocks_of(state)[:, 0]
+    return 1.0 if across[block] >= across[1 - block] else -1.0
 
 
 def scatter(mover: Mover, state: State) -> list[Skill]:
@@ -106,16 +110,10 @@ def scatter(mover: Mover, state: State) -> list[Skill]:
     rest: list[Skill] = (
         [Back(mover.retreat), mover.push_up(1 - block)] if mover.rng.random() < 0.5 else []
     )
-    return [push_away(mover, state, block), *rest]
-
-
-def push_away(mover: Mover, state: State, block: int) -> Skill:
-    """Push one block outwards from the other."""
-    places = mover.task.blocks_of(state)
-    outwards = float(np.sign(places[block][0] - places[1 - block][0])) or 1.0
-    aim = places[block] + [outwards * mover.rng.uniform(0.3, 0.6), mover.rng.uniform(-0.3, 0.2)]
-    aim = np.clip(aim, -0.9, 0.9)
-    return mover.push(block, lambda view: aim, patience=40)
+    far, up = mover.rng.uniform(0.3, 0.6), mover.rng.uniform(-0.3, 0.2)
+    place = mover.task.blocks_of(state)[block]
+    aim = np.clip(place + [outwards(mover, state, block) * far, up], -0.9, 0.9)
+    return [mover.push(block, lambda view: aim, patience=40), *rest]
 
 
 def mime(mover: Mover, state: State) -> list[Skill]:
