@@ -74,6 +74,7 @@ def picture(runs: dict[str, list[Run]], path: Path) -> None:
         if task in PAPER:
             axis.axhline(PAPER[task], color="grey", linewidth=0.8, linestyle="--")
         axis.set_title(task, fontsize=9)
+        axis.tick_params(labelbottom=True, labelsize=8)
         axis.set_ylim(-0.02, 1.02)
         axis.legend(frameon=False, fontsize=6, loc="lower right")
         axis.spines[["top", "right"]].set_visible(False)
