@@ -65,11 +65,14 @@ class Graph:
         self.learner = start_learner(start, folder)
 
 
-def start_learner(start: Start, folder: Path, evaluate_episodes: int = 2) -> NodeProcess:
+def start_learner(
+    start: Start, folder: Path, evaluate_episodes: int = 2, reward_deadline_s: float = 15.0
+) -> NodeProcess:
     return start(
         "rapl_ros.learner_node",
         run_folder=folder,
         seed=5,
+        reward_deadline_s=reward_deadline_s,
         sac__hidden="[32, 32]",
         sac__batch_size=64,
         schedule__random_steps=SCHEDULE.random_steps,
@@ -253,7 +256,8 @@ def test_back_pressure_no_round_begins_while_rewards_are_missing(
     probe = Probe(topics.OT_REWARD)
     try:
         start("rapl_ros.simulator_node", worlds=2, render=False, clock_file=tmp_path / "clock")
-        start_learner(start, tmp_path, evaluate_episodes=0)
+        # a deadline that a loaded machine does not reach: a late episode would be dropped
+        start_learner(start, tmp_path, evaluate_episodes=0, reward_deadline_s=120.0)
         heart = Heartbeat(probe.node)
         heart.report("active")
         states = probe.listen(wire_msg.State, topics.STATE, qos.stream())
