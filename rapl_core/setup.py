@@ -15,7 +15,7 @@ setup(
     package_data={
         "rapl_core": ["py.typed"],
         "rapl_core.analysis": ["*.html"],
-        "rapl_core.episodes": ["messages/*.msg"],
+        "rapl_core.episodes": ["messages/*/msg/*.msg"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/rapl_core"]),

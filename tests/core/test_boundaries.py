@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -99,3 +100,9 @@ print("imported", sum(name.startswith("rapl_core.") for name in sys.modules))
     )
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[-1]) >= len({room_of(path) for path in modules()})
+
+
+def test_no_module_names_a_package_of_the_ros_side() -> None:
+    """What is on disk is defined by files; their places tell what types are called."""
+    named = [p.name for p in modules() if re.search(r"\brapl_(msgs|bringup)\b", p.read_text())]
+    assert not named

@@ -16,7 +16,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 
 from rapl_core.episodes import EpisodeStore, JointTrack, read_episode, read_summary, write_episode
-from rapl_core.episodes.bag_types import OWN_MESSAGES, message_text, typestore
+from rapl_core.episodes.bag_types import ACTION, STATE, definitions, typestore
 from rapl_core.errors import CorruptFileError, RaplError, ShapeError, UnknownNameError
 from rapl_core.types import Episode
 
@@ -144,22 +144,25 @@ def test_world_0_has_the_bare_topic_names(store: EpisodeStore) -> None:
         assert "/rapl/camera/image_raw" in reader.topics
 
 
-@pytest.mark.parametrize("name", OWN_MESSAGES)
-def test_our_message_definitions_are_those_of_the_ros_package(name: str) -> None:
-    ros = REPOSITORY / "ros_ws" / "src" / "rapl_msgs" / "msg" / f"{name}.msg"
-    assert message_text(name) == ros.read_text(), f"copy {ros} to rapl_core/episodes/messages"
+def test_what_is_defined_here_is_what_an_episode_needs_beyond_ros() -> None:
+    assert set(definitions()) == {STATE, ACTION} == {"rapl_msgs/msg/State", "rapl_msgs/msg/Action"}
 
 
-@pytest.mark.parametrize("name", OWN_MESSAGES)
-def test_type_hashes_are_those_of_the_built_messages(name: str) -> None:
-    built = Path(sys.prefix) / "share" / "rapl_msgs" / "msg" / f"{name}.json"
+@pytest.mark.parametrize("kind", [STATE, ACTION])
+def test_our_message_definitions_are_those_of_the_ros_package(kind: str) -> None:
+    ros = REPOSITORY / "ros_ws" / "src" / f"{kind}.msg"
+    assert definitions()[kind] == ros.read_text(), f"copy {ros} to rapl_core/episodes/messages"
+
+
+@pytest.mark.parametrize("kind", [STATE, ACTION])
+def test_type_hashes_are_those_of_the_built_messages(kind: str) -> None:
+    built = Path(sys.prefix) / "share" / f"{kind}.json"
     if not built.exists():
-        pytest.skip("rapl_msgs is not built into this environment")
+        pytest.skip(f"{kind} is not built into this environment")
     hashes = {
         entry["type_name"]: entry["hash_string"]
         for entry in json.loads(built.read_text())["type_hashes"]
     }
-    kind = f"rapl_msgs/msg/{name}"
     assert typestore().hash_rihs01(kind) == hashes[kind]
 
 
