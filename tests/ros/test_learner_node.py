@@ -211,7 +211,7 @@ def test_a_killed_learner_goes_on_from_its_checkpoint(
         beats = heartbeats(second, topics.LEARNER)
         second.until(
             lambda: [beat for beat in beats if beat.incarnation != dead],
-            60,
+            START_S,
             "the learner is back",
         )
         second.spin_for(2.0)  # its services follow

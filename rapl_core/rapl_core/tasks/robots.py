@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rapl_core.errors import CorruptFileError, UnknownNameError
 
-COLLISION_GROUP, VISUAL_GROUP = 0, 1
+COLLISION_GROUP, VISUAL_GROUP, UNDRAWN_GROUP = 0, 1, 3
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def robot_spec(robot: RobotConfig) -> mujoco.MjSpec:
         for geom in spec.geoms:
             if geom.group == COLLISION_GROUP:
                 geom.rgba = [0, 0, 0, 0]
-                geom.group = 3
+                geom.group = UNDRAWN_GROUP
     for geom in arm.geoms:
         geom.contype = geom.conaffinity = 0
     arm.body(robot.flange).add_frame().attach_body(gripper.body("right_gripper"), "gripper_", "")

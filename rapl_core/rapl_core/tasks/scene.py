@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from rapl_core.tasks.robots import get_robot, robot_spec
+from rapl_core.tasks.robots import UNDRAWN_GROUP, get_robot, robot_spec
 
 Rgba = tuple[float, float, float, float]
 
@@ -31,6 +31,7 @@ class SceneConfig:
     speed: float = 0.03
     """Largest move of the gripper a control step along an axis."""
     image_size: int = 112
+    table_half: tuple[float, float] = (0.7, 0.8)
     goal_near: float = 0.20
     goal_far: float = 0.36
     goal_half_width: float = 0.30
@@ -73,9 +74,10 @@ def scene_spec(name: str, config: SceneConfig, camera: str) -> mujoco.MjSpec:
 def _add_table(spec: mujoco.MjSpec, config: SceneConfig) -> None:
     box = mujoco.mjtGeom.mjGEOM_BOX
     spec.worldbody.add_geom(
-        name="table", type=box, size=[0.7, 0.8, 0.02], pos=[0.0, 0.0, -0.02],
+        name="table", type=box, size=[*config.table_half, 0.02], pos=[0.0, 0.0, -0.02],
         rgba=[0.76, 0.68, 0.55, 1], friction=[0.6, 0.005, 0.0001],
     )  # fmt: skip
+    _add_edge(spec, config.table_half)
     spec.worldbody.add_geom(
         name="goal", type=box, contype=0, conaffinity=0, rgba=GOAL_BLUE,
         size=[(config.goal_far - config.goal_near) / 2, config.goal_half_width, 0.001],
@@ -86,6 +88,21 @@ def _add_table(spec: mujoco.MjSpec, config: SceneConfig) -> None:
             name="column", type=mujoco.mjtGeom.mjGEOM_CYLINDER, contype=0, conaffinity=0,
             size=[0.08, config.column_height / 2, 0], rgba=[0.35, 0.35, 0.37, 1],
             pos=[config.base_x, 0, config.column_height / 2],
+        )  # fmt: skip
+
+
+def _add_edge(spec: mujoco.MjSpec, half: tuple[float, float]) -> None:
+    """Keep objects on the table by walls that are not drawn, outside the picture.
+
+    A cube squeezed out from under a finger can slide to the edge. It would fall for ever, and one
+    such episode, with a reward a hundred times the others', is enough to spoil the critics.
+    """
+    edge = spec.worldbody.add_body(name="edge")
+    for name, x, y in (("front", 1, 0), ("back", -1, 0), ("left", 0, 1), ("right", 0, -1)):
+        edge.add_geom(
+            name=f"edge_{name}", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1],
+            pos=[x * half[0], y * half[1], 0], zaxis=[-x, -y, 0],
+            rgba=[0, 0, 0, 0], group=UNDRAWN_GROUP,
         )  # fmt: skip
 
 
