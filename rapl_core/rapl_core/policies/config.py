@@ -24,6 +24,9 @@ class SacConfig:
     """``auto``: learnt from 1; ``auto_0.1``: learnt from 0.1; a number: fixed."""
     buffer_size: int = field(default=200_000, metadata={"minimum": 1})
     """Transitions kept for replay."""
+    critic_layer_norm: bool = True
+    """Layer normalisation in the critics (Ball et al. 2023), not in stable-baselines3: bounds what
+    they make of actions never tried."""
 
     def __post_init__(self) -> None:
         _check_positive(self, "batch_size", "learning_rate", "target_rate", "buffer_size")

@@ -18,7 +18,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
 from torch import Tensor, nn
 
-from rapl_core.policies.dense_stack import DenseStack, linear_layers
+from rapl_core.policies.dense_stack import DenseLayer, DenseStack, dense_layers
 
 _HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 _SQUASH_EPSILON = 1e-6
@@ -59,14 +59,14 @@ class GradientStep:
     def __init__(self, model: SAC, noise: torch.Generator) -> None:
         self._model = model
         self._noise = noise
-        self._trunk = DenseStack(linear_layers(model.actor.latent_pi), linear_end=False)
-        self._mean = DenseStack([_linear(model.actor.mu)], linear_end=True)
-        self._log_std = DenseStack([_linear(model.actor.log_std)], linear_end=True)
+        self._trunk = DenseStack(dense_layers(model.actor.latent_pi), linear_end=False)
+        self._mean = DenseStack([_single(model.actor.mu)], linear_end=True)
+        self._log_std = DenseStack([_single(model.actor.log_std)], linear_end=True)
         self._critics = [
-            DenseStack(linear_layers(q), linear_end=True) for q in model.critic.q_networks
+            DenseStack(dense_layers(q), linear_end=True) for q in model.critic.q_networks
         ]
         self._targets = [
-            DenseStack(linear_layers(q), linear_end=True) for q in model.critic_target.q_networks
+            DenseStack(dense_layers(q), linear_end=True) for q in model.critic_target.q_networks
         ]
         self._critic_weights: list[Tensor] = list(model.critic.parameters())
         self._target_weights: list[Tensor] = list(model.critic_target.parameters())
@@ -156,6 +156,6 @@ class GradientStep:
         return (coefficient * sample.log_prob - least).mean()
 
 
-def _linear(layer: object) -> nn.Linear:
+def _single(layer: object) -> DenseLayer:
     assert isinstance(layer, nn.Linear)
-    return layer
+    return DenseLayer(layer)

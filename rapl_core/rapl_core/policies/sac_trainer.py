@@ -208,6 +208,7 @@ class SacTrainer:
             )
         stored = dict(part.values["config"])
         stored["hidden"] = tuple(stored["hidden"])
+        stored.setdefault("critic_layer_norm", False)  # written before there was a choice
         differences = config_differences(SacConfig(**stored), self.config)
         if differences:
             raise CorruptFileError(
