@@ -10,6 +10,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,12 +90,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
     config = SacConfig()
-    trainers = [filled_trainer(config, options.features, options.actions) for _ in range(3)]
+
+    def trainer(layer_norm: bool) -> SacTrainer:
+        chosen = replace(config, critic_layer_norm=layer_norm)
+        return filled_trainer(chosen, options.features, options.actions)
+
     results = measure(
         {
-            "stable-baselines3": stable_baselines3(trainers[0], fused=False),
-            "stable-baselines3, fused Adam": stable_baselines3(trainers[1], fused=True),
-            "ours": trainers[2].update,
+            "stable-baselines3": stable_baselines3(trainer(False), fused=False),
+            "stable-baselines3, fused Adam": stable_baselines3(trainer(False), fused=True),
+            "ours": trainer(False).update,
+            "ours, critics normalised": trainer(True).update,
         },
         options.seconds,
     )

@@ -107,7 +107,7 @@ def parse() -> Plan:
     parser.add_argument("--preset", default="tuned", choices=preset_names())
     parser.add_argument("--strategy", choices=["uniform", "contest"], help="the preset's own")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, default=60_000)
+    parser.add_argument("--steps", type=int, default=40_000)
     parser.add_argument("--triplets", type=int, default=150)
     parser.add_argument("--pool", type=int, default=300)
     parser.add_argument("--online", type=int, help="alignments while it learns; the preset's own")

@@ -58,7 +58,7 @@ class RunConfig:
     own."""
     online_triplets: int | None = None
     """Of the rankings, kept for each of them; None: half of all, shared out."""
-    steps: int = 60_000
+    steps: int = 40_000
     """World steps of learning, all worlds together."""
     random_steps: int = 2_000
     """World steps with random actions before the first gradient step."""

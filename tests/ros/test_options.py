@@ -26,7 +26,7 @@ def refusal(capsys: pytest.CaptureFixture[str], runs: Path, *argv: str) -> str:
 def test_a_task_alone_gives_the_documented_defaults(tmp_path: Path) -> None:
     request = ask(tmp_path, "franka_group")
     assert request.config == RunConfig("franka_group", online=9, online_triplets=8)
-    assert (request.config.steps, request.config.triplets, request.config.worlds) == (60000, 150, 4)
+    assert (request.config.steps, request.config.triplets, request.config.worlds) == (40000, 150, 4)
     assert request.folder == tmp_path / "franka_group" / "rapl-tuned-seed0"
     assert not request.resume
 
@@ -56,7 +56,7 @@ def test_half_of_the_rankings_are_kept_for_the_robots_own_videos_where_the_prese
     tmp_path: Path,
 ) -> None:
     config = ask(tmp_path, "franka_group").config
-    assert config.online_steps == list(range(6_000, 60_000, 6_000))
+    assert config.online_steps == list(range(4_000, 40_000, 4_000))
     assert (config.online_share, config.pool_triplets) == (8, 78)
     for argv in (["--preset", "paper"], ["--reward", "imagenet"], ["--online", "0"]):
         config = ask(tmp_path, "franka_group", *argv).config

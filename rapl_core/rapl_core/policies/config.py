@@ -45,7 +45,7 @@ class SacConfig:
 class ScheduleConfig:
     """When the learner acts at random, takes gradient steps, evaluates and saves."""
 
-    steps: int = field(default=60_000, metadata={"minimum": 1})
+    steps: int = field(default=40_000, metadata={"minimum": 1})
     """World steps of all worlds together, after which learning ends."""
     worlds: int = field(default=4, metadata={"minimum": 1})
     """Worlds stepped in lockstep."""

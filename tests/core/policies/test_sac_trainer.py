@@ -132,6 +132,10 @@ def test_a_checkpoint_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CorruptFileError, match="discount: 0.98 != 0.9"):
         SacTrainer(F, A, replace(SMALL, discount=0.9), 0).load(folder)
     card = json.loads((folder / "card.json").read_text())
+    del card["parts"]["trainer"]["values"]["config"]["critic_layer_norm"]  # an older one
+    (folder / "card.json").write_text(json.dumps(card))
+    with pytest.raises(CorruptFileError, match="critic_layer_norm: False != True"):
+        SacTrainer(F, A, SMALL, 0).load(folder)
     card["format"] = 7
     (folder / "card.json").write_text(json.dumps(card))
     with pytest.raises(CorruptFileError, match="format 7, expected 1"):
