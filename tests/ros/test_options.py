@@ -47,7 +47,7 @@ def test_alignments_while_the_robot_learns_come_at_even_steps(
     tmp_path: Path,
 ) -> None:
     request = ask(tmp_path, "franka_group", "--online", "2", "--online-triplets", "20")
-    assert request.config.online_steps == [20_000, 40_000]
+    assert request.config.online_steps == [13_333, 26_666]
     assert (request.config.online_share, request.config.pool_triplets) == (20, 110)
     assert request.folder.name == "rapl-tuned-online2-seed0"
 

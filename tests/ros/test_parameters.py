@@ -148,7 +148,7 @@ def test_numbers_of_rewards_and_learning_have_a_range(make_node):
     for defaults in (DeskConfig(), SacConfig(), ScheduleConfig()):
         declare_config(node, defaults)
         for field_ in fields(defaults):
-            if isinstance(getattr(defaults, field_.name), int | float):
+            if type(getattr(defaults, field_.name)) in (int, float):  # a bool is an int too
                 described = node.describe_parameter(field_.name)
                 assert described.integer_range or described.floating_point_range, field_.name
 
