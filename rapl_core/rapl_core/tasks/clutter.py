@@ -37,7 +37,7 @@ class ClutterConfig(SceneConfig):
     far_prism: tuple[float, float] = (0.09, 0.12)
     """x, and y to one side, drawn at random; the cubes' places are mirrored with it."""
     cubes: tuple[tuple[float, float], ...] = (
-        (0.02, -0.19), (0.14, -0.175), (0.30, 0.215), (0.31, -0.17),
+        (0.02, -0.19), (0.14, -0.175), (0.03, 0.25), (0.31, -0.17),
     )  # fmt: skip
     """Beside the ways of the prisms to the goal: whoever steers straight touches none."""
     spread: tuple[float, float] = (0.015, 0.015)
