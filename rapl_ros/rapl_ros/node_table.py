@@ -62,6 +62,7 @@ NODES: tuple[NodeEntry, ...] = (
             "shared_share",
             "backbone",
             "weights",
+            "engine",
             "trained",
             "tcc_iterations",
             "masked_iterations",

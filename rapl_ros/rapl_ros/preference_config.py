@@ -41,6 +41,10 @@ class PreferenceConfig(DeskConfig, PeopleConfig):
     weights: str = ""
     """File with its weights, or a folder that holds it as <backbone>.pt; empty: where they are by
     default."""
+    engine: Literal["torch", "openvino"] = "torch"
+    """What computes the features that alignment reads of a network that stays as it is. openvino,
+    where installed, must agree with torch (cosine 0.999) on the pool's pictures, and has its own
+    precision."""
     trained: Trained = "head"
     """What alignment trains: the last layer (the paper), or the backbone's last block with it,
     which takes minutes where a layer takes seconds, and of tcc and tcc_ot an hour. Of these and of

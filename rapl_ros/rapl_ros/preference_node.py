@@ -374,6 +374,7 @@ class PreferenceNode(RaplNode):
             people=people,
             backbone=config.backbone,
             weights=Path(config.weights) if config.weights else None,
+            engine=config.engine,
             trained=config.trained,
             tcc=TccConfig(iterations=config.tcc_iterations, trained=config.trained),
             masked=MaskedConfig(iterations=config.masked_iterations),

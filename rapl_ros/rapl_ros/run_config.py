@@ -47,7 +47,8 @@ class RunConfig:
     weights: str = ""
     """File with that network's weights, or a folder that holds it as <backbone>.pt."""
     engine: str = "torch"
-    """What computes the features that the robot is rewarded by: torch, or openvino."""
+    """What computes the features that alignment reads and the robot is rewarded by: torch, or
+    openvino."""
     trained: str = "head"
     """What alignment trains: the last layer, or the backbone's last block with it."""
     tcc_iterations: int = 4_000

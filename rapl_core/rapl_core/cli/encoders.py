@@ -166,6 +166,7 @@ def _order(run: Path, arguments: argparse.Namespace) -> "AlignmentOrder":
         people=PeopleConfig(**given),
         backbone=arguments.backbone or backbone,
         weights=arguments.weights or weights,
+        engine=node.get("engine", "torch"),
         trained=trained,
         tcc=TccConfig(
             iterations=int(node.get("tcc_iterations", TccConfig.iterations)), trained=trained

@@ -27,8 +27,9 @@ from rapl_core.preferences.video_features import summarise
 from rapl_core.representations.alignment import Lesson
 from rapl_core.representations.checkpoints import checkpoint_folder, save_encoder
 from rapl_core.representations.encoder import Encoder
+from rapl_core.representations.engines import Engine
 from rapl_core.representations.extractor import FeatureRecipe, Precision, make_extractor
-from rapl_core.representations.features import MIRRORED, FeatureStore, find_parts
+from rapl_core.representations.features import MIRRORED, FeatureStore, prepare
 from rapl_core.representations.masked import MaskedConfig
 from rapl_core.representations.methods import DEFAULT_BACKBONE, Trained, get_method
 from rapl_core.representations.presets import Preset, get_preset
@@ -66,6 +67,8 @@ class AlignmentOrder:
     """Network that features are read from; empty: the one that the method names."""
     weights: Path | None = None
     """Its weights, a file or a folder; None: the default place."""
+    engine: Engine = "torch"
+    """What computes the features of frozen networks."""
     trained: Trained = "head"
     """What learns from rankings; for what learns from demonstrations see ``tcc``."""
     block: BlockConfig = field(default_factory=BlockConfig)
@@ -77,7 +80,7 @@ class AlignmentOrder:
         """What makes the encoders that learn from no rankings."""
         return WorkshopConfig(
             self.run_folder, self.method, self.preset, self.seed, self.precision, self.purposes,
-            self.backbone, self.weights, self.tcc, self.masked,
+            self.backbone, self.weights, self.engine, self.tcc, self.masked,
         )  # fmt: skip
 
 
@@ -263,7 +266,9 @@ def _features(
     episodes = EpisodeStore(order.run_folder / "episodes")
     pool = [e.episode_id for e in episodes.summaries() if e.purpose in order.purposes]
     extractor = make_extractor(order.backbone or DEFAULT_BACKBONE, recipe, order.weights)
-    find_parts(extractor, pool, lambda name: episodes.frames(name)[1:], order.seed)
+    # a block that learns reads its own maps, by torch; so its head's statistics are torch's too
+    engine: Engine = order.engine if order.trained == "head" else "torch"
+    prepare(extractor, pool, lambda name: episodes.frames(name)[1:], order.seed, engine)
     features = FeatureStore(
         extractor, order.run_folder / "features", order.precision, mirror=mirror
     )

@@ -14,7 +14,7 @@ class EpisodeEmbedder:
     Encoders that are aligned one after the other in a run share backbone and pooling and differ in
     their heads: what the backbone gives is kept in ``<run folder>/features`` in float32, and only
     the head is applied when an episode is embedded again. Alignment's own features there are of
-    bfloat16 and no use for rewards.
+    bfloat16 or in float16 and no use for rewards.
 
     :param run_folder: has the episodes and keeps the features.
     """
@@ -38,8 +38,5 @@ class EpisodeEmbedder:
         :raises CorruptFileError: if its files are damaged.
         """
         frames = self._episodes.frames(episode_id)[1:]
-        extractor = self.encoder.extractor
-        if extractor.engine != "torch":  # its numbers are not those of the files
-            return EmbeddedEpisode(episode_id, self.encoder.embed(frames))
         features = self._features.look_up(episode_id, frames)
         return EmbeddedEpisode(episode_id, self.encoder.embed_features(features))

@@ -13,6 +13,7 @@ from safetensors.numpy import load_file, save
 
 from rapl_core.atomic import write_atomically
 from rapl_core.errors import ShapeError, UnknownNameError, WeightsError
+from rapl_core.representations.engines import Engine
 from rapl_core.representations.extractor import FeatureExtractor, Precision
 from rapl_core.types import Episode, check_episode_id
 
@@ -30,7 +31,8 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
     """(T, F) features by episode id.
 
     A video's features lie in ``folder/<extractor version>-<precision>-<dtype>/<hash of its
-    frames>.safetensors``, so that they are found again whatever the episode is called. Training
+    frames>.safetensors``, so that they are found again whatever the episode is called; those of
+    another engine than torch in ``<extractor version>-<engine>-<its precision>-<dtype>``. Training
     reads them in float16, which is off by 5e-4; what the robot is rewarded with is embedded from
     the frames, or from features in float32 and of precision float32, which are the same.
     """
@@ -56,7 +58,9 @@ class FeatureStore(Mapping[str, NDArray[np.float32]]):
         self.computed = 0
         """Videos that went through the backbone; the others came from the cache."""
         self._dtype = dtype
-        self._folder = folder and Path(folder) / f"{extractor.version}-{precision}-{dtype}"
+        engine = extractor.engine
+        made_by = precision if engine == "torch" else f"{engine}-{extractor.engine_precision}"
+        self._folder = folder and Path(folder) / f"{extractor.version}-{made_by}-{dtype}"
         self._features: dict[str, NDArray[Any]] = {}
 
     def add(self, episode_id: str, frames: NDArray[np.uint8]) -> None:
@@ -136,6 +140,23 @@ def find_parts(
             yield frames[rng.choice(len(frames), min(_PARTS_FRAMES, len(frames)), replace=False)]
 
     extractor.find_parts(pictures(), rng)
+
+
+def prepare(
+    extractor: FeatureExtractor,
+    videos: Sequence[str],
+    frames_of: Callable[[str], NDArray[np.uint8]],
+    seed: int,
+    engine: Engine = "torch",
+) -> None:
+    """Make an extractor ready for a pool: :func:`find_parts`, then let ``engine`` compute.
+
+    :raises EngineError: if the engine is not installed or disagrees with torch.
+    """
+    find_parts(extractor, videos, frames_of, seed)
+    if engine != "torch":
+        pictures = frames_of(videos[0]) if videos else None
+        extractor.use_engine(engine, torch.get_num_threads(), pictures)
 
 
 def _content_hash(frames: NDArray[np.uint8]) -> str:

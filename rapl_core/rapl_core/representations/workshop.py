@@ -16,13 +16,14 @@ from rapl_core.representations.alignment import OnEpoch
 from rapl_core.representations.augmentation import augment_video
 from rapl_core.representations.backbones import backbone_spec, load_network
 from rapl_core.representations.encoder import Encoder
+from rapl_core.representations.engines import Engine
 from rapl_core.representations.extractor import (
     FeatureExtractor,
     FeatureRecipe,
     Precision,
     make_extractor,
 )
-from rapl_core.representations.features import FeatureStore, find_parts
+from rapl_core.representations.features import FeatureStore, prepare
 from rapl_core.representations.masked import MaskedConfig, fine_tune_lora, pretrain
 from rapl_core.representations.masked_architecture import MAE_BACKBONE
 from rapl_core.representations.methods import Method, get_method
@@ -55,6 +56,8 @@ class WorkshopConfig:
     """Empty: the method's own."""
     weights: Path | None = None
     """The backbone's weights, a file or a folder; None: the default place."""
+    engine: Engine = "torch"
+    """What computes the features of frozen networks."""
     tcc: TccConfig = field(default_factory=TccConfig)
     masked: MaskedConfig = field(default_factory=MaskedConfig)
 
@@ -190,7 +193,10 @@ class Workshop:
         names = [e.episode_id for e in self.pool] if names is None else list(names)
         extractor: FeatureExtractor = make_extractor(self.backbone, recipe, self.weights)
         pool = [e.episode_id for e in self.pool]
-        find_parts(extractor, pool, lambda n: self.episodes.frames(n)[1:], self.config.seed)
+        prepare(
+            extractor, pool, lambda n: self.episodes.frames(n)[1:], self.config.seed,
+            self.config.engine,
+        )  # fmt: skip
         mirror = self.preset.mirror and recipe is self.preset.recipe
         folder = self.config.run_folder / "features"
         store = FeatureStore(extractor, folder, self.config.precision, mirror=mirror)

@@ -1,5 +1,6 @@
 """Recorded episodes are embedded as live ones are, and the backbone sees each only once."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,22 @@ def test_a_second_head_on_the_same_backbone_needs_no_backbone(
             assert found.episode_id == name and found.values.shape == (3, 8)
             np.testing.assert_array_equal(found.values, expected.values)
         assert embedder.computed == computed
+
+
+@pytest.mark.skipif(find_spec("openvino") is None, reason="openvino is not installed")
+def test_features_of_two_engines_are_kept_apart(episodes: EpisodeStore, tmp_path: Path) -> None:
+    from rapl_core.representations import make_extractor
+
+    encoder = encoder_with_head(make_extractor("efficientnet_lite0", RAW_RECIPE), 1)
+    expected = EpisodeEmbedder(encoder, tmp_path).embed("train-0").values
+    encoder.extractor.use_engine("openvino")
+    for computed in (1, 0):
+        embedder = EpisodeEmbedder(encoder, tmp_path)
+        found = embedder.embed("train-0").values
+        assert embedder.computed == computed
+        np.testing.assert_array_equal(found, encoder.embed_episode(episodes.load("train-0")).values)
+    assert not np.array_equal(found, expected)
+    np.testing.assert_allclose(found, expected, atol=0.05 * np.abs(expected).max())
 
 
 def test_an_episode_that_is_not_recorded_is_named(raw_extractor, tmp_path: Path) -> None:
