@@ -39,14 +39,19 @@ def load(folder: Path = RESULTS) -> dict[str, list[Run]]:
         run = json.loads(path.read_text())
         found[_label(run)].append(run)
     order = [*NAMES.values()]
-    return dict(sorted(found.items(), key=lambda one: order.index(one[0].split(" (")[0])))
+    return dict(
+        sorted(found.items(), key=lambda one: order.index(one[0].split(" (")[0].rstrip(" *")))
+    )
 
 
 def _label(run: Run) -> str:
+    """How a kind of run is called; with a star if its learner's critics were not normalised."""
     name, rounds = NAMES[run["reward"], run["preset"]], run.get("online", 0)
     if rounds:
-        return f"{name} ({rounds} rounds while it learns)"
-    return f"{name} (aligned once)" if run["preset"] == "tuned" else name
+        name += f" ({rounds} rounds while it learns)"
+    elif run["preset"] == "tuned":
+        name += " (aligned once)"
+    return name if run["sac"].get("critic_layer_norm", False) else f"{name} *"
 
 
 def mean_and_range(values: list[float], digits: int = 2) -> str:
@@ -79,6 +84,8 @@ def table(runs: dict[str, list[Run]]) -> str:
         "concordance and episode hold the reward against r* on 100 held-out videos of scripts "
         "(docs/paper_notes.md), after the last alignment where there were several.",
     ]
+    if any(name.endswith("*") for name in runs):
+        lines += ["", "\\* Learnt before critics were normalised, which needs more steps."]
     return "\n".join(lines)
 
 
