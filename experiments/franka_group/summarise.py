@@ -85,7 +85,7 @@ def table(runs: dict[str, list[Run]]) -> str:
         "(docs/paper_notes.md), after the last alignment where there were several.",
     ]
     if any(name.endswith("*") for name in runs):
-        lines += ["", "\\* Learnt before critics were normalised, which needs more steps."]
+        lines += ["", "\\* Learnt before critics were normalised, which takes more steps."]
     return "\n".join(lines)
 
 

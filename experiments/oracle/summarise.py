@@ -24,7 +24,7 @@ PAPER = {
 }  # fmt: skip
 """Success that the paper names: of its oracle, with the medium stick of RAPL."""
 COLUMNS = 3
-PLAIN = "\\* Learnt before critics were normalised, which needs more steps.\n\n"
+PLAIN = "\\* Learnt before critics were normalised, which takes more steps.\n\n"
 
 Run = dict[str, Any]
 
