@@ -12,6 +12,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from scipy import stats
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt  # noqa: E402
@@ -84,9 +85,32 @@ def table(runs: dict[str, list[Run]]) -> str:
         "concordance and episode hold the reward against r* on 100 held-out videos of scripts "
         "(docs/paper_notes.md), after the last alignment where there were several.",
     ]
+    lines += _beside(
+        runs, "RAPL tuned (9 rounds while it learns)", "RLHF tuned (9 rounds while it learns)"
+    )
     if any(name.endswith("*") for name in runs):
         lines += ["", "\\* Learnt before critics were normalised, which takes more steps."]
     return "\n".join(lines)
+
+
+def _beside(runs: dict[str, list[Run]], one: str, other: str) -> list[str]:
+    """By how much ``one`` is ahead of ``other`` on the seeds that both have: the mean, +- the half
+    width of its 95 % interval (Student's t).
+    """
+    success = [
+        {run["seed"]: run["success_last_three"] for run in runs.get(name, [])}
+        for name in (one, other)
+    ]
+    seeds = sorted(set(success[0]) & set(success[1]))
+    if len(seeds) < 2:
+        return []
+    ahead = np.array([success[0][seed] - success[1][seed] for seed in seeds])
+    half = stats.t.ppf(0.975, len(ahead) - 1) * stats.sem(ahead)
+    return [
+        "",
+        f"Seed by seed {one} is {ahead.mean():.2f} ± {half:.2f} ahead of {other} in success (95 % "
+        f"interval, {len(seeds)} pairs).",
+    ]
 
 
 def picture(runs: dict[str, list[Run]], path: Path) -> None:

@@ -16,9 +16,9 @@ from rapl_core.policies.replay import EpisodeReplay
 class LayerNormPolicy(SACPolicy):
     """Actor and critics of stable-baselines3, the critics with layer normalisation.
 
-    Without it Q of actions that were never tried now and then outgrew everything the robot had ever
-    earned, and a policy that had learnt its task lost it for ten thousand steps (Ball et al. 2023,
-    "Efficient online reinforcement learning with offline data", Section 4.2).
+    After Ball et al. 2023, "Efficient online reinforcement learning with offline data". Without it
+    Q now and then outgrew everything that can be earned, and a policy that had learnt its task lost
+    it for ten thousand steps (docs/paper_notes.md, SAC).
     """
 
     def make_critic(

@@ -29,7 +29,7 @@ from rapl_core.representations.checkpoints import checkpoint_folder, save_encode
 from rapl_core.representations.encoder import Encoder
 from rapl_core.representations.engines import Engine
 from rapl_core.representations.extractor import FeatureRecipe, Precision, make_extractor
-from rapl_core.representations.features import MIRRORED, FeatureStore, prepare
+from rapl_core.representations.features import MIRRORED, FeatureStore, prepare_extractor
 from rapl_core.representations.masked import MaskedConfig
 from rapl_core.representations.methods import DEFAULT_BACKBONE, Trained, get_method
 from rapl_core.representations.presets import Preset, get_preset
@@ -268,7 +268,7 @@ def _features(
     extractor = make_extractor(order.backbone or DEFAULT_BACKBONE, recipe, order.weights)
     # a block that learns reads its own maps, by torch; so its head's statistics are torch's too
     engine: Engine = order.engine if order.trained == "head" else "torch"
-    prepare(extractor, pool, lambda name: episodes.frames(name)[1:], order.seed, engine)
+    prepare_extractor(extractor, pool, lambda name: episodes.frames(name)[1:], order.seed, engine)
     features = FeatureStore(
         extractor, order.run_folder / "features", order.precision, mirror=mirror
     )

@@ -142,7 +142,7 @@ def find_parts(
     extractor.find_parts(pictures(), rng)
 
 
-def prepare(
+def prepare_extractor(
     extractor: FeatureExtractor,
     videos: Sequence[str],
     frames_of: Callable[[str], NDArray[np.uint8]],

@@ -23,7 +23,7 @@ from rapl_core.representations.extractor import (
     Precision,
     make_extractor,
 )
-from rapl_core.representations.features import FeatureStore, prepare
+from rapl_core.representations.features import FeatureStore, prepare_extractor
 from rapl_core.representations.masked import MaskedConfig, fine_tune_lora, pretrain
 from rapl_core.representations.masked_architecture import MAE_BACKBONE
 from rapl_core.representations.methods import Method, get_method
@@ -193,7 +193,7 @@ class Workshop:
         names = [e.episode_id for e in self.pool] if names is None else list(names)
         extractor: FeatureExtractor = make_extractor(self.backbone, recipe, self.weights)
         pool = [e.episode_id for e in self.pool]
-        prepare(
+        prepare_extractor(
             extractor, pool, lambda n: self.episodes.frames(n)[1:], self.config.seed,
             self.config.engine,
         )  # fmt: skip

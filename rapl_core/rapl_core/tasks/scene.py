@@ -102,7 +102,7 @@ def _add_edge(spec: mujoco.MjSpec, half: tuple[float, float]) -> None:
         edge.add_geom(
             name=f"edge_{name}", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1],
             pos=[x * half[0], y * half[1], 0], zaxis=[-x, -y, 0],
-            rgba=[0, 0, 0, 0], group=UNDRAWN_GROUP,
+            group=UNDRAWN_GROUP,
         )  # fmt: skip
 
 
